@@ -105,8 +105,6 @@ def test_a_missing_package_is_named_with_its_extra(
     ("package", "words", "said"),
     [
         ("numba", "simulate ugv --sweeps 2 --out made", "viewshed simulate needs numba: pip install 'viewshed-lab'"),
-        ("numba", "attack a.npz --attack far_wall --out made",
-         "viewshed attack needs numba: pip install 'viewshed-lab'"),
         ("scipy", "simulate ugv --sweeps 2 --out made",
          "viewshed simulate needs scipy: pip install 'viewshed[agents]'"),
         ("matplotlib", "simulate ugv --preview --out a.png",

@@ -75,8 +75,3 @@ def test_points_that_are_no_numbers_or_far_away_count_nowhere() -> None:
     odd = np.array([[np.nan, 0, 0], [np.inf, 0, 0], [1e30, 0, 0], [0, -1e30, 0], [1, 1, np.nan]], np.float32)
     assert BevGrid(8, 4.0).count(odd).sum() == 0
     assert BevGrid(8, 4.0).count(np.zeros((0, 3), np.float32)).sum() == 0
-
-
-def test_points_of_another_kind_are_refused() -> None:
-    with pytest.raises(TypeError, match="incompatible"):
-        BevGrid(8, 4.0).count(np.zeros((3, 2), np.float32))

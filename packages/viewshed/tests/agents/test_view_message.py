@@ -7,7 +7,7 @@ from typing import Any
 import cbor2
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from tests.agents import message_samples as samples
 
@@ -221,6 +221,7 @@ def depth_of(value: Any) -> int:
     return 0
 
 
+@settings(max_examples=40)
 @given(PLAIN.filter(lambda value: depth_of(value) <= cbor.MAX_DEPTH))
 def test_the_reader_reads_what_cbor2_writes(value: Any) -> None:
     data = cbor2.dumps(value, canonical=True)

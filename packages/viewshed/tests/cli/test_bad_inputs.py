@@ -109,6 +109,8 @@ REFUSED = {
     # Where results go.
     f"estimate {GOOD} --out file": "must be a folder", f"compare {GOOD} --out file/c.png": "must lie in a folder that",
     f"export {GOOD} --out no/a.geojson": "must lie in a folder that exists",
+    **{f"record {GOOD} --to no/{name}": "must lie in a folder that exists, got … no; make it first"
+       for name in ("a.mcap", "a.bag", "a")},
     **dict.fromkeys((
         "estimate sweep.npz --out .", "export sweep.npz --to npz", "compare sweep.npz --out sweep.npz",
         f"export {GOOD} --out {GOOD}",

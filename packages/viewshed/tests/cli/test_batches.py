@@ -54,8 +54,9 @@ def test_a_batch_writes_what_one_by_one_writes_and_tells_no_time(
         assert np.array_equal(many.state, one.state)
 
 
-@pytest.mark.parametrize("batch", [1, 4])
-@pytest.mark.parametrize(("results", "first"), [("npz", "npz"), ("npz,geojson", "geojson"), ("npz,png", "png")])
+@pytest.mark.parametrize(
+    ("results", "first", "batch"), [("npz", "npz", 1), ("npz,geojson", "geojson", 4), ("npz,png", "png", 1)]
+)
 def test_only_the_results_that_are_asked_for_are_written(
     files: list[Path], tmp_path: Path, results: str, first: str, batch: int
 ) -> None:

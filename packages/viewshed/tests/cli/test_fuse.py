@@ -11,12 +11,16 @@ import pytest
 from PIL import Image
 from tests.cli.commands import run
 
-from viewshed import load_estimator, read_sweep, write_sweep
+from viewshed import BevGrid, load_estimator, open_recording, read_sweep, write_sweep
 from viewshed.agents.registration import UNSTATED, PoseStd
 from viewshed.agents.report import AgentReport
 from viewshed.agents.rounds import Round, Rounds
 from viewshed.cli._record import Center
+from viewshed.estimators import Estimator
+from viewshed.estimators.shadow_map import ShadowMap
+from viewshed.estimators.temporal import SweepBuffer, TemporalEstimator
 from viewshed.geometry import Rigid
+from viewshed.io.export import read_npz
 from viewshed.io.samples import junction_path
 from viewshed.objects.object_stream import ObjectStream
 from viewshed.preprocess.leveling import level
@@ -29,7 +33,7 @@ pytest.importorskip("mcap", reason="mcap is not installed: bags are not written"
 def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A simulated drive of two vehicles."""
     place = tmp_path_factory.mktemp("drive") / "junction.mcap"
-    words = ("--world", "junction", "--agents", 2, "--seconds", 2, "--hz", 2, "--to", place)
+    words = ("--world", "junction", "--preset", "ugv", "--agents", 2, "--seconds", 2, "--hz", 2, "--to", place)
     code, _, err = run("record", "sim", *words)
     assert (code, err) == (0, "")
     return place
@@ -53,9 +57,23 @@ def test_agents_of_a_recording_are_put_together(drive: Path, tmp_path: Path) -> 
     assert "http" not in page.replace("http-equiv", "")  # one file, no network
 
 
-def test_poses_are_as_certain_as_is_said_or_refused(drive: Path, tmp_path: Path) -> None:
+def test_what_each_agent_saw_before_helps_where_a_history_is_asked_for(drive: Path, tmp_path: Path) -> None:
+    words, grid = ("estimate", drive, "--grid", "64x32", "--results", "npz", "--out"), BevGrid(64, 32.0)
+    assert run(*words, tmp_path / "past", "--history", 3)[0] == 0
+    assert run(*words, tmp_path / "alone")[0] == 0
+    estimators: list[Estimator] = [TemporalEstimator(ShadowMap(grid), SweepBuffer(3)), ShadowMap(grid)]
+    fewer = 0
+    for number, sweep in enumerate(open_recording(drive)):
+        past, alone = (read_npz(next((tmp_path / name).glob(f"*_{number:03}.npz"))) for name in ("past", "alone"))
+        for found, estimator in zip((past, alone), estimators, strict=True):
+            np.testing.assert_allclose(found.visible_prob, estimator.estimate(sweep).visible_prob, atol=0.01)
+        fewer += int(past.visible().sum() < alone.visible().sum())
+    assert number == 7
+    assert fewer >= 2
+
+
+def test_deviations_of_poses_that_are_none_are_refused(drive: Path, tmp_path: Path) -> None:
     words = ("fuse", drive, "--results", "jsonl", "--out", tmp_path / "poses")
-    assert run(*words, "--pose-std", "0.2,0.5")[0] == 0
     for wrong in ("0.2", "-1,0", "a,b", "nan,1"):
         code, _, err = run(*words, "--pose-std", wrong)
         assert code == 2
@@ -114,7 +132,8 @@ def test_a_sweep_without_time_and_pose_is_put_together_with_none(tmp_path: Path)
 
 
 def test_agents_of_one_name_in_two_files_are_two_agents(drive: Path, tmp_path: Path) -> None:
-    code, _, err = run("fuse", drive, drive, "--results", "jsonl", "--out", tmp_path / "twice")
+    words = ("--pose-std", "0.2,0.5", "--results", "jsonl", "--out", tmp_path / "twice")
+    code, _, err = run("fuse", drive, drive, *words)
     assert (code, err) == (0, "")
     rows = [json.loads(line) for line in (tmp_path / "twice" / "fused.jsonl").read_text().splitlines()]
     assert [len(row["agents"]) for row in rows] == [4] * 4

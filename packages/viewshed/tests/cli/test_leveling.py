@@ -58,21 +58,6 @@ def test_a_sweep_is_leveled_once(words: tuple[str, ...], sweep_file: Path, ident
     assert identified.count(size) == 1
 
 
-def test_former_names_of_methods_are_taken(sweep_file: Path) -> None:
-    masks = []
-    for method in ("vote", "majority_vote"):
-        out = sweep_file.parent / method
-        with pytest.raises(SystemExit) as end:
-            main(["estimate", str(sweep_file), "--method", method, "--results", "npz", "--out", str(out)])
-        assert end.value.code in (0, None)
-        masks.append(read_npz(out / "street_majority_vote.npz"))
-        with pytest.raises(SystemExit) as end:
-            main(["estimate", str(sweep_file), "--require-confirmation", "--out", str(out)])
-        assert end.value.code == 2
-    assert [mask.method for mask in masks] == ["majority_vote"] * 2
-    assert np.array_equal(masks[0].state, masks[1].state)
-
-
 def test_no_sensor_means_none(tmp_path: Path) -> None:
     """A cloud of a known sensor: with ``--sensor none`` no beam table is inferred from its points."""
     bare = viewshed.Sweep(cast(lidar_model("vlp16"), junction(), 1.8).points)

@@ -59,15 +59,8 @@ def _fit(folder: Path, *more: str) -> list[str]:
 
 def _check(folder: Path, *files: str) -> list[str]:
     named = [str(folder / file) for file in files]
-    return [
-        "monitor",
-        "check",
-        *named,
-        "--monitor-file",
-        str(folder / "monitor.npz"),
-        "--weights",
-        str(folder / "net.onnx"),
-    ]
+    fitted = ["--monitor-file", str(folder / "monitor.npz"), "--weights", str(folder / "net.onnx")]
+    return ["monitor", "check", *named, *fitted]
 
 
 def test_fit_says_what_it_did(place: Path, tmp_path: Path) -> None:
@@ -79,33 +72,22 @@ def test_fit_says_what_it_did(place: Path, tmp_path: Path) -> None:
     assert (monitor.facts["passes"], monitor.facts["target"], monitor.grid.cells) == ("5", "car", 32)
 
 
-def _drive(place: Path, name: str, seconds: float, seed: int) -> Path:
-    drive = place / name
-    words = ("record", "sim", "--preset", "ugv", "--agents", 1, "--seconds", seconds, "--seed", seed, "--to", drive)
-    assert run(*words)[0] == 0
-    return drive
-
-
 def test_an_own_vehicle_is_calibrated_from_a_minute_and_fewer_alarms_need_more(tmp_path: Path) -> None:
-    """The minute is that of 62 sweeps, one a second."""
-    drive, out = tmp_path / "drive", tmp_path / "made.npz"
+    """The minute is that of 12 sweeps, one in five seconds."""
+    drive, out, bag = tmp_path / "drive", tmp_path / "made.npz", tmp_path / "drive.mcap"
     drive.mkdir()
-    for number, sweep in enumerate(open_recording(_drive(tmp_path, "drive.mcap", 6.2, 4))):
-        write_sweep(sweep.replace(t_ns=number * 10**9), drive / f"{number:02}.npz")
+    words = ("record", "sim", "--preset", "ugv", "--agents", 1, "--seconds", 1.2, "--seed", 4, "--to", bag)
+    assert run(*words)[0] == 0
+    for number, sweep in enumerate(open_recording(bag)):
+        write_sweep(sweep.replace(t_ns=5 * number * 10**9), drive / f"{number:02}.npz")
     code, said, err = run("monitor", "calibrate", drive, "--out", out)
     assert (code, err) == (0, "")
-    assert "calibrated on 62 sweeps of 1 drives" in said
-    assert load_calibration(out).hours * 60 == pytest.approx(62 / 60, abs=0.02)
+    assert "calibrated on 12 sweeps of 1 drives" in said
+    assert load_calibration(out).hours * 60 == pytest.approx(1.0, abs=0.02)
     assert stream_monitor(out).limit == load_calibration(out).limit(stream_monitor(out).per_hour)
     code, _, err = run("monitor", "calibrate", drive, "--out", out, "--per-hour", 1)
     assert code == 2
     assert "1 false alarms an hour need 60 minutes of benign driving, got 1.0" in err
-
-
-def test_less_than_a_minute_is_refused(tmp_path: Path) -> None:
-    code, _, err = run("monitor", "calibrate", _drive(tmp_path, "short.mcap", 1.0, 4), "--out", tmp_path / "no.npz")
-    assert code == 2
-    assert "benign drives must last 1 minute at least, got 0.017; give more" in err
 
 
 def test_an_empty_sweep_is_an_alarm_and_no_error(place: Path) -> None:
@@ -170,11 +152,6 @@ def test_what_does_not_fit_is_one_line(place: Path, tmp_path: Path) -> None:
     net = ["--weights", str(place / "net.onnx"), "--grid", "32x16", "--out", str(tmp_path / "no.npz")]
     code, _, err = run(*few, *net)
     assert (code, err) == (2, "viewshed: a false-alarm rate of 0.05 needs at least 19 benign sweeps, got 5\n")
-    assert not (tmp_path / "no.npz").exists()
-    (tmp_path / "bad.npz").write_bytes((place / "monitor.npz").read_bytes()[:200])
-    code, _, err = run("monitor", "check", str(place / "calm.npz"), "--monitor-file", str(tmp_path / "bad.npz"))
-    assert code == 2
-    assert re.fullmatch(r"viewshed: \S+bad\.npz must be a whole monitor file .*; calibrate it again\n", err)
     other = card(threshold=0.7)
     export_onnx(tmp_path / "other.onnx", other, _network())
     words = _check(place, "calm.npz")[:-1]

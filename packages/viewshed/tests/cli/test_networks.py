@@ -28,8 +28,8 @@ def files(tmp_path: Path) -> tuple[Path, Path]:
 @pytest.mark.parametrize("method", ["unet", "mc_dropout"])
 def test_a_network_estimates(files: tuple[Path, Path], tmp_path: Path, method: str) -> None:
     sweep, net = files
-    words = ("estimate", sweep, "--method", method, "--weights", net, "--grid", "64x16", "--height", 1.8)
-    code, out, err = run(*words, "--out", tmp_path / "out")
+    words = (sweep, "--method", method, "--weights", net, "--grid", "64x16", "--height", 1.8)
+    code, out, err = run("estimate", *words, "--out", tmp_path / "out")
     assert (code, err) == (0, "")
     found = read_npz(tmp_path / "out" / f"sweep_{method}.npz")
     assert found.method == method
@@ -38,6 +38,8 @@ def test_a_network_estimates(files: tuple[Path, Path], tmp_path: Path, method: s
     assert found.at(np.array([[8.0, -5.0]]))[0] < 0.1
     assert np.isnan(found.std).all() == (method == "unet")
     assert (tmp_path / "out" / f"sweep_{method}.geojson").stat().st_size > 100
+    assert run("export", *words, "--to", "npz", "--out", tmp_path / "a.npz")[0] == 0
+    assert read_npz(tmp_path / "a.npz").method == method
 
 
 def test_seeds_and_passes_count(files: tuple[Path, Path], tmp_path: Path) -> None:
@@ -67,18 +69,11 @@ def test_networks_stand_beside_the_others(files: tuple[Path, Path], tmp_path: Pa
     assert "--device go with unet, mc_dropout, got methods shadow_map,majority_vote" in err
 
 
-def test_a_networks_view_is_exported(files: tuple[Path, Path], tmp_path: Path) -> None:
-    sweep, net = files
-    words = ("export", sweep, "--to", "npz", "--method", "unet", "--weights", net, "--grid", "64x16")
-    assert run(*words, "--out", tmp_path / "a.npz")[0] == 0
-    assert read_npz(tmp_path / "a.npz").method == "unet"
-
-
 def test_networks_stand_beside_the_others_in_evaluate_truth(tmp_path: Path) -> None:
-    words = ("simulate", "nuscenes-small", "--sweeps", 6, "--grid", "64x32", "--workers", 1, "--out", tmp_path / "data")
+    words = ("simulate", "nuscenes-small", "--sweeps", 2, "--grid", "64x32", "--workers", 1, "--out", tmp_path / "data")
     assert run(*words)[0] == 0
     export_onnx(tmp_path / "net.onnx", card(SHAPE, BevGrid(64, 32.0)), nearby(SHAPE))
-    evaluate = ("evaluate", "truth", tmp_path / "data", "--limit", 2, "--weights", tmp_path / "net.onnx")
+    evaluate = ("evaluate", "truth", tmp_path / "data", "--limit", 1, "--weights", tmp_path / "net.onnx")
     code, out, _ = run(*evaluate, "--methods", "first_blocker,unet")
     assert code == 0
     rows = {line.split("|")[1].strip(): line.split("|")[2:] for line in out.splitlines() if line.startswith("|")}
@@ -90,25 +85,6 @@ def test_networks_stand_beside_the_others_in_evaluate_truth(tmp_path: Path) -> N
         2,
         True,
     )
-
-
-def test_where_no_method_is_asked_for_it_is_the_shadow_map_or_the_papers_label(tmp_path: Path) -> None:
-    x, y = np.meshgrid(np.linspace(2, 14, 60), np.linspace(-9, 9, 60))
-    sweep = Sweep(np.stack([x.ravel(), y.ravel(), np.full(3600, -1.8)], axis=1).astype(np.float32))
-    write_sweep(sweep, tmp_path / "sweep.ply")
-    for number, (words, method) in enumerate(
-        [
-            ((), "shadow_map"),
-            (("--grid", "indoor", "--target", "pedestrian"), "shadow_map"),
-            (("--grid", "64x16"), "shadow_map"),
-            (("--weights", "indoor", "--grid", "indoor", "--target", "pedestrian"), "unet"),
-            (("--parameters", "paper"), "paper_label"),
-        ]
-    ):
-        out = tmp_path / str(number)
-        code, said, err = run("estimate", tmp_path / "sweep.ply", "--height", 1.8, "--out", out, *words)
-        assert (code, err) == (0, "")
-        assert read_npz(out / ("sweep.npz" if method == "shadow_map" else f"sweep_{method}.npz")).method == method, said
 
 
 @pytest.mark.filterwarnings("default:method viewnet is gone")

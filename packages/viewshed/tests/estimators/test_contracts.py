@@ -8,9 +8,7 @@ from numpy.typing import NDArray
 
 from viewshed.estimators import (
     CLASSICAL,
-    ESTIMATORS,
     PAPER_ESTIMATORS,
-    PAPER_INDOOR_ESTIMATORS,
     EstimatorFactory,
     paper_estimators,
 )
@@ -23,10 +21,6 @@ from viewshed.sweep import Sweep
 
 EVERY = {**CLASSICAL, **PAPER_ESTIMATORS}
 GRID = BevGrid(64, 16.0)
-NAMES = {
-    "continuous", "quantized", "concave_hull", "delaunay", "first_blocker", "first_blocker_median", "trimmed",
-    "shadow_map", "majority_vote",
-}  # fmt: skip
 
 
 @pytest.fixture(params=EVERY.items(), ids=lambda item: item[0])
@@ -50,16 +44,6 @@ def _sees_nothing(estimate: FovEstimate) -> bool:
     return not estimate.visible().any() and bool((estimate.state == CellState.UNKNOWN).all())
 
 
-def test_the_tables_hold_what_the_documents_name() -> None:
-    assert set(ESTIMATORS) >= NAMES
-    assert set(PAPER_ESTIMATORS) == set(PAPER_INDOOR_ESTIMATORS) >= {"paper_label", "paper_quantized"}
-
-
-def test_the_name_in_the_table_is_the_method(named: tuple[str, EstimatorFactory]) -> None:
-    name, make = named
-    assert make(GRID).estimate(Sweep(np.zeros((0, 3), np.float32))).method == name
-
-
 @pytest.mark.parametrize("grid", [GRID, BevGrid(33, 12.0, (5.0, -3.0)), BevGrid(1, 4.0, (6.0, 0.0))], ids=str)
 def test_own_grid_types_and_range(make: EstimatorFactory, street: Sweep, grid: BevGrid) -> None:
     estimate = make(grid).estimate(street)
@@ -74,10 +58,12 @@ def test_own_grid_types_and_range(make: EstimatorFactory, street: Sweep, grid: B
 def test_free_or_surface_is_what_is_visible_and_what_the_beams_support(make: EstimatorFactory, street: Sweep) -> None:
     estimator, leveled = make(GRID), level(street, GRID)
     estimate = estimator.estimate(leveled)
-    supported = beam_evidence(leveled, GRID, estimator.target).supports_claim()
+    evidence = beam_evidence(leveled, GRID, estimator.target)
+    supported = evidence.supports_claim()
     claimed = (estimate.state == CellState.FREE) | (estimate.state == CellState.SURFACE)
     assert claimed.any()
     assert np.array_equal(estimate.visible() & supported, claimed)
+    assert np.array_equal(estimate.state == CellState.HIDDEN, ~estimate.visible() & evidence.supports_denial())
     obstacle = leveled.obstacle_cells(GRID)
     assert np.array_equal(estimate.state == CellState.SURFACE, claimed & obstacle)
 
@@ -91,14 +77,10 @@ def test_time_agent_and_pose_are_passed_on(make: EstimatorFactory, street: Sweep
     assert estimate.world_from_level.yaw == pytest.approx(0.5)
 
 
-def test_the_same_sweep_gives_the_same_estimate(make: EstimatorFactory, street: Sweep) -> None:
-    assert same(make(GRID).estimate(street), make(GRID).estimate(street))
-
-
-def test_the_sweep_is_left_as_it_was(make: EstimatorFactory, street: Sweep) -> None:
+def test_the_sweep_is_left_as_it_was_and_gives_the_same_estimate(make: EstimatorFactory, street: Sweep) -> None:
     points, ring = street.points.copy(), np.array(street.ring)
     assert not street.points.flags.writeable
-    make(GRID).estimate(street)
+    assert same(make(GRID).estimate(street), make(GRID).estimate(street))
     np.testing.assert_array_equal(points, street.points)
     np.testing.assert_array_equal(ring, np.array(street.ring))
 
@@ -120,29 +102,28 @@ def test_order_of_points_without_rings_leaves_the_mask(make: EstimatorFactory, s
     assert np.array_equal(a.visible(), b.visible())
 
 
-def test_an_empty_sweep_sees_nothing_and_says_so(make: EstimatorFactory) -> None:
+def test_an_empty_sweep_sees_nothing_and_says_so(named: tuple[str, EstimatorFactory]) -> None:
+    name, make = named
     estimate = make(GRID).estimate(Sweep(np.zeros((0, 3), np.float32)))
     assert _sees_nothing(estimate)
     assert not estimate.visible_prob.any()
+    assert estimate.method == name
 
 
-def test_null_and_ego_returns_are_no_returns(make: EstimatorFactory) -> None:
-    rng = np.random.default_rng(0)
-    null = rng.uniform(-0.2, 0.2, (200, 3))
-    ego = rng.uniform((-2.0, -0.9, -1.0), (2.0, 0.9, -0.3), (200, 3))
-    assert _sees_nothing(
-        make(GRID).estimate(Sweep(np.concatenate([null, ego]).astype(np.float32), sensor_height_m=1.8))
-    )
+NO_RETURNS: dict[str, tuple[Any, Any, BevGrid, float]] = {
+    "null": (-0.2, 0.2, GRID, 1.8),
+    "of the own vehicle": ((-2.0, -0.9, -1.0), (2.0, 0.9, -0.3), GRID, 1.8),
+    "null, of a low robot": (-0.25, 0.25, BevGrid(64, 4.0), 0.4),
+    "beyond every range": (2_000, 3_000, GRID, 1.8),
+}
+"""Least and greatest coordinates of points, a grid, and the height of the sensor."""
 
 
-def test_null_returns_of_a_low_robot_are_no_returns(make: EstimatorFactory) -> None:
-    null = np.random.default_rng(0).uniform(-0.25, 0.25, (300, 3)).astype(np.float32)
-    assert _sees_nothing(make(BevGrid(64, 4.0)).estimate(Sweep(null, sensor_height_m=0.4)))
-
-
-def test_returns_beyond_every_range_are_no_returns(make: EstimatorFactory) -> None:
-    far = np.random.default_rng(0).uniform(2_000, 3_000, (300, 3)).astype(np.float32)
-    assert _sees_nothing(make(GRID).estimate(Sweep(far, sensor_height_m=1.8)))
+@pytest.mark.parametrize("kind", NO_RETURNS)
+def test_what_is_no_return_shows_nothing(make: EstimatorFactory, kind: str) -> None:
+    low, high, grid, height_m = NO_RETURNS[kind]
+    points = np.random.default_rng(0).uniform(low, high, (300, 3)).astype(np.float32)
+    assert _sees_nothing(make(grid).estimate(Sweep(points, sensor_height_m=height_m)))
 
 
 @pytest.mark.parametrize(

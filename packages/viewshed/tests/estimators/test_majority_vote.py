@@ -1,11 +1,9 @@
 import numpy as np
 
-from viewshed import CAR, BevGrid, CellState, FovEstimator
+from viewshed import CAR, BevGrid, FovEstimator
 from viewshed.estimators.first_blocker import FirstBlocker
 from viewshed.estimators.majority_vote import MajorityVote
 from viewshed.estimators.shadow_map import NoReturn, ShadowMap
-from viewshed.preprocess.evidence import beam_evidence
-from viewshed.preprocess.leveling import level
 from viewshed.sensors import LidarModel
 from viewshed_lab.sim import Box, Scene, cast
 
@@ -23,13 +21,3 @@ def test_three_of_five_decide() -> None:
     assert (estimate.visible() == (votes >= 3)).all()
     assert np.allclose(estimate.visible_prob * 5, votes)
     assert 0 < estimate.visible().mean() < 1
-
-
-def test_states_are_the_vote_where_the_beams_support_it() -> None:
-    estimate, leveled = MajorityVote(GRID).estimate(SWEEP), level(SWEEP, GRID)
-    evidence = beam_evidence(leveled, GRID, CAR)
-    seen = (estimate.state == CellState.FREE) | (estimate.state == CellState.SURFACE)
-    assert (seen == (estimate.visible() & evidence.supports_claim())).all()
-    assert ((estimate.state == CellState.HIDDEN) == (~estimate.visible() & evidence.supports_denial())).all()
-    behind = tuple(GRID.index(np.array([20.0, 4.0]))[0])
-    assert estimate.state[behind] == CellState.HIDDEN

@@ -40,8 +40,3 @@ def test_a_spiral_is_one_region(side: int) -> None:
         mask[i, j] = True
     assert label_regions(mask, False).max() == 1
     np.testing.assert_array_equal(label_regions(mask, False) == 1, mask)
-
-
-def test_nothing_has_no_region() -> None:
-    assert label_regions(np.zeros((3, 5), np.bool_), False).max() == 0
-    assert squared_depth(np.zeros((3, 5), np.bool_)).max() == 0

@@ -42,12 +42,6 @@ def test_each_view_lies_where_its_sensor_is_mounted() -> None:
     assert (both.state[0, 3], both.state[3, 3]) == (CellState.FREE, CellState.SURFACE)
 
 
-def test_two_that_doubt_do_not_make_one_that_is_sure() -> None:
-    both = union_of_views([_view({(1, 2): (0.4, CellState.UNKNOWN)}, Rigid.identity())] * 3)
-    assert both.visible_prob[1, 2] == np.float32(0.4)
-    assert not both.visible().any()
-
-
 @pytest.mark.parametrize("order", [1, -1])
 def test_the_sensor_that_says_most_of_a_cell_decides(order: int) -> None:
     says = [CellState.UNKNOWN, CellState.HIDDEN, CellState.FREE, CellState.SURFACE]

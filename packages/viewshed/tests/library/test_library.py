@@ -64,7 +64,8 @@ def prefix(tmp_path_factory: pytest.TempPathFactory) -> Path:
         return Path(told)
     if shutil.which("cmake") is None or shutil.which("c++") is None:
         pytest.skip("no C++ compiler or no CMake: libviewshed is not built")
-    build, where = tmp_path_factory.mktemp("build"), tmp_path_factory.mktemp("prefix")
+    # The build is kept in the checkout, which ignores it: the next run compiles what changed.
+    build, where = PACKAGE.parents[1] / "build" / "library_of_tests", tmp_path_factory.mktemp("prefix")
     options = ("-DVIEWSHED_PYTHON=OFF", "-DVIEWSHED_LIBRARY=ON", f"-DCMAKE_INSTALL_PREFIX={where}")
     run("cmake", "-S", PACKAGE, "-B", build, *options)
     run("cmake", "--build", build, "--parallel", "2")

@@ -10,6 +10,9 @@ from viewshed.monitor.impossible import impossible_reasons
 from viewshed.preprocess.leveling import LeveledSweep, level
 from viewshed.sweep import Sweep
 
+USUAL = 90
+"""Sweeps by which a number shows how far it goes by itself."""
+
 
 def _leveled(sweep: Sweep) -> LeveledSweep:
     return level(sweep, GRID)
@@ -51,12 +54,12 @@ def test_a_number_is_held_against_how_far_it_goes_by_itself(
 ) -> None:
     rng, sweep, state = np.random.default_rng(0), _leveled(look(YARD)), SensorState()
     found: tuple[str, ...] = ()
-    for number in range(200 + NOW_SWEEPS):
+    for number in range(USUAL + NOW_SWEEPS):
         evidence = np.full((len(EVIDENCE), 72), 0.01, np.float32)
         evidence[list(EVIDENCE).index("returns")] = 20000.0
-        evidence[list(EVIDENCE).index(kind)] = now if number >= 200 else usual + spread * rng.standard_normal()
+        evidence[list(EVIDENCE).index(kind)] = now if number >= USUAL else usual + spread * rng.standard_normal()
         found = state.check(sweep, evidence)
-        assert number >= 200 or not found
+        assert number >= USUAL or not found
     assert (len(found) == 1) == worse
 
 

@@ -11,7 +11,7 @@ from tests.monitor.by_hand import GRID, estimate_of
 from viewshed import BevGrid
 from viewshed.fov.estimate import CellState, FovEstimate
 from viewshed.grid import polar_of_cells
-from viewshed.monitor import DeviationMonitor, IntegrityReport, Rule, load_monitor, save_monitor
+from viewshed.monitor import DeviationMonitor, Rule, load_monitor, save_monitor
 
 
 def check_refusals(path: Path, load: Callable[[Path], object], step: int, flips: int) -> float:
@@ -41,41 +41,26 @@ def _monitor() -> DeviationMonitor:
     return DeviationMonitor.fit(_benign(50, 0)).calibrated(_benign(39, 1), 0.05)
 
 
-def test_thresholds_are_mean_and_three_standard_deviations_of_each_cell() -> None:
-    benign = _benign(40, 3)
-    stack = np.stack([np.asarray(each.std, np.float64) for each in benign])
-    expected = stack.mean(axis=0) + 3 * stack.std(axis=0, ddof=1)
-    assert DeviationMonitor.fit(benign).thresholds == pytest.approx(expected, abs=1e-6)
-    wider = DeviationMonitor.fit(iter(benign), Rule(sigmas=5)).thresholds
-    assert wider == pytest.approx(stack.mean(axis=0) + 5 * stack.std(axis=0, ddof=1), abs=1e-6)
-
-
-def test_where_sweeps_are_few_the_range_ring_decides() -> None:
-    """12 sweeps: all cells between the same two ranges share the moments of all their deviations."""
-    benign = _benign(12, 4)
-    found = DeviationMonitor.fit(benign, Rule(few=13, rings=3)).thresholds
-    stack = np.stack([np.asarray(each.std, np.float64) for each in benign])
+@pytest.mark.parametrize("count", [12, 40])
+@pytest.mark.parametrize("rule", [Rule(), Rule(sigmas=5, rings=1), Rule(few=13, rings=3), Rule(least=0.3)], ids=str)
+def test_thresholds_are_those_of_each_cell_and_where_its_sweeps_are_few_of_its_range_ring(
+    rule: Rule, count: int
+) -> None:
+    rng = np.random.default_rng(count)
+    stack = np.stack([np.asarray(each.std, np.float64) for each in _benign(count, 3)])
+    seen = rng.integers(0, count + 1, GRID.shape)  # in how many sweeps a cell has a deviation
+    seen[2, 3], seen[5, 6] = 0, min(rule.few, count)
+    stack[np.arange(count)[:, None, None] >= seen] = np.nan
+    found = DeviationMonitor.fit((estimate_of(std) for std in stack), rule)
+    assert np.array_equal(found.watched, seen > 0)
     range_m, _ = polar_of_cells(GRID)
-    edge = range_m.max() / 3
-    for low in (0.0, edge, 2 * edge):
-        ring = (range_m >= low) & (range_m < low + edge + 1e-4)
-        values = stack[:, ring]
-        assert found[ring] == pytest.approx(values.mean() + 3 * values.std(ddof=1), abs=1e-6)
-
-
-def test_one_cell_with_few_sweeps_takes_its_ring_and_the_others_their_own() -> None:
-    benign = _benign(40, 5)
-    rare = np.zeros(GRID.shape)
-    rare[6, 1] = np.nan  # 5 sweeps are left
-    mixed = [replace(each, std=(rare + np.asarray(each.std)).astype(np.float32)) for each in benign[:35]] + benign[35:]
-    alone, whole = DeviationMonitor.fit(mixed, Rule(rings=1)), DeviationMonitor.fit(benign, Rule(rings=1))
-    differ = alone.thresholds != whole.thresholds
-    assert np.argwhere(differ).tolist() == [[6, 1]]
-    stack = np.stack([np.asarray(each.std, np.float64) for each in benign])
-    counted = np.ones(stack.shape, bool)
-    counted[:35, 6, 1] = False
-    values = stack[counted]
-    assert alone.thresholds[6, 1] == pytest.approx(values.mean() + 3 * values.std(ddof=1), abs=1e-6)
+    ring = np.minimum(range_m * rule.rings // (range_m.max() + 1e-6), rule.rings - 1)
+    for i, j in np.argwhere(seen > 0).tolist():
+        values = stack[:, i, j] if seen[i, j] >= rule.few else stack[:, ring == ring[i, j]]
+        values = values[np.isfinite(values)]
+        spread = values.std(ddof=1) if len(values) > 1 else 0.0
+        expected = max(values.mean() + rule.sigmas * spread, rule.least)
+        assert found.thresholds[i, j] == pytest.approx(expected, abs=1e-6)
 
 
 def test_score_is_the_share_of_watched_cells_that_are_suspect() -> None:
@@ -93,12 +78,6 @@ def test_cells_do_not_leave_the_watch_by_turning_unknown() -> None:
     monitor = _monitor()
     unknown = np.full(GRID.shape, CellState.UNKNOWN, np.uint8)
     assert monitor.score(estimate_of(0.5, unknown)) == monitor.score(estimate_of(0.5)) == 1.0
-
-
-def test_the_least_threshold_keeps_quiet_cells_quiet() -> None:
-    monitor = DeviationMonitor.fit([estimate_of(0.0)] * 40, Rule(least=0.03))
-    assert monitor.score(estimate_of(0.0299)) == 0.0
-    assert monitor.score(estimate_of(0.0301)) == 1.0
 
 
 def test_alarms_on_new_benign_sweeps_keep_to_the_rate_and_a_doubtful_corner_is_found() -> None:
@@ -140,15 +119,6 @@ def test_what_the_monitor_cannot_check_is_told() -> None:
 def test_rules_are_checked(change: dict[str, float], match: str) -> None:
     with pytest.raises(ValueError, match=match):
         Rule(**change)  # type: ignore[arg-type]
-
-
-def test_a_report_is_checked() -> None:
-    with pytest.raises(ValueError, match="score and threshold must be numbers"):
-        IntegrityReport("a", np.nan, 0.1)
-    with pytest.raises(ValueError, match=r"suspect_cells must be bool \(8, 8\), got bool \(3, 3\)"):
-        IntegrityReport("a", 0.0, 0.1, grid=GRID, suspect_cells=np.zeros((3, 3), bool))
-    calm = IntegrityReport("a", 0.1, 0.1, grid=GRID, suspect_cells=np.zeros(GRID.shape, bool))
-    assert not calm.alarm
 
 
 def test_a_file_gives_the_same_monitor_back_and_the_same_bytes(tmp_path: Path) -> None:

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 from numpy.typing import NDArray
@@ -106,6 +106,7 @@ def test_one_attack_in_the_past_does_not_hide_the_next() -> None:
     assert past.reference().changes(np.array([[9.0], [0.0]], np.float32))[0, 0] > 20.0
 
 
+@settings(max_examples=30)
 @given(st.lists(st.floats(-5.0, 50.0), min_size=20, max_size=60), st.floats(0.0, 50.0), st.floats(0.0, 50.0))
 def test_rarer_is_more_surprising(benign: list[float], one: float, more: float) -> None:
     scale = SurpriseScale.fit([np.array(benign)[:, None]])

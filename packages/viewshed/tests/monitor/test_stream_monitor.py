@@ -12,7 +12,7 @@ from viewshed import Sweep
 from viewshed.monitor import Calibration, StreamMonitor
 from viewshed.monitor.evidence import EARLIER_SWEEPS, EVIDENCE, SECTORS
 from viewshed.monitor.impossible import MOST_OUT, impossible_reasons, share_out_of_time
-from viewshed.monitor.stream_monitor import ALONE, EvidenceStream, StreamReport
+from viewshed.monitor.stream_monitor import ALONE, StreamReport
 from viewshed.monitor.tails import CALM_SWEEPS
 from viewshed.monitor.watch import MOST_HELD_SWEEPS, Watch
 from viewshed.preprocess.leveling import LeveledSweep, level
@@ -34,20 +34,8 @@ def _attacked(number: int, *, seed: int = 9) -> LeveledSweep:
     return level(look((*YARD, plate), number, 0.2 * number, np.random.default_rng(seed)), GRID)
 
 
-@cache
-def _calibration() -> Calibration:
-    streams = []
-    for seed in range(8):
-        stream, found = EvidenceStream(), []
-        for sweep in _drive(seed):
-            found.append(stream.measure(sweep))
-            stream.add(sweep)
-        streams.append(np.stack(found))
-    return Calibration.fit(streams, hz=5.0)  # so that these are a minute
-
-
 def _monitor(**options: float) -> StreamMonitor:
-    return StreamMonitor(_calibration(), 60.0, **options)  # type: ignore[arg-type]
+    return StreamMonitor(per_hour=60.0, **options)  # type: ignore[arg-type]
 
 
 def _after(monitor: StreamMonitor, count: int = SWEEPS) -> list[StreamReport]:
@@ -87,7 +75,7 @@ def test_what_lasts_becomes_the_past_and_the_alarm_ends_once() -> None:
 
     of_sensor = np.array([kind.two_sided for kind in EVIDENCE.values()])
 
-    made = Calibration.fit([evidence(400) for _ in range(4)], hz=10.0)
+    made = Calibration.fit([evidence(150) for _ in range(4)], hz=2.5)
     watch = Watch(made, made.limit(10.0, extrapolate=True))
     assert not any(watch.check(one).alarm for one in evidence(100))
     # From now on the sensor is higher, noisier and has more returns.
@@ -156,7 +144,7 @@ def test_after_a_gap_the_past_stays_but_nothing_is_compared() -> None:
     late = monitor.check(level(_drive(50)[12].sweep.replace(t_ns=3 * 10**9), GRID))
     assert late.notes == ()
     assert late.now.notes == ()
-    assert np.isnan(late.now.evidence[list(_calibration().names).index("arrival")]).all()
+    assert np.isnan(late.now.evidence[list(EVIDENCE).index("arrival")]).all()
 
 
 def test_agents_are_apart_bounded_and_bad_settings_refused() -> None:

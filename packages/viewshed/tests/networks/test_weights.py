@@ -67,12 +67,7 @@ def test_everything_that_is_shipped_is_whole_and_fits_its_line() -> None:
         assert (found.grid, found.target) == (BevGrid(line.cells, line.half_extent_m), line.target)
         assert found.trained, f"{name} does not say how it was trained"
         assert json.loads(found.to_json())["threshold"] > 0
-
-
-def test_every_network_in_bytes_is_shipped_in_float32_too() -> None:
-    lines = manifest()
-    for name, line in lines.items():
-        found = OnnxRunner.of_content(shipped_content(name), name, 1).card
+        # Every network in bytes is there in float32 too.
         assert (name.endswith("_int8")) != (found.precision == "f32")
         other = lines[name.removesuffix("_int8")]
         assert (other.cells, other.half_extent_m, other.target) == (line.cells, line.half_extent_m, line.target)

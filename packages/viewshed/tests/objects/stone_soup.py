@@ -52,7 +52,7 @@ RULES = EqualRules(
 
 
 def scenario(
-    rng: np.random.Generator, *, targets: int = 8, half_extent_m: float = 15.0, sweeps: int = 40
+    rng: np.random.Generator, *, targets: int = 8, half_extent_m: float = 15.0, sweeps: int = 25
 ) -> list[tuple[float, F64]]:
     """Return times and centers (K, 2): objects that cross, some missed, and false ones; uneven steps."""
     place, velocity = rng.uniform(-half_extent_m, half_extent_m, (targets, 2)), rng.uniform(-6, 6, (targets, 2))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -185,14 +186,11 @@ def test_the_way_of_earlier_places_is_that_of_least_squares() -> None:
     np.testing.assert_allclose(vectors[0], expected, atol=1e-9)
 
 
-def test_a_model_is_the_same_after_it_was_written(tmp_path: object) -> None:
+def test_a_model_is_the_same_after_it_was_written(tmp_path: Path) -> None:
     """Saved and loaded; a file that holds something else is refused by name."""
-    from pathlib import Path
-
-    folder = Path(str(tmp_path))
-    hand = model()
-    hand.save(folder / "model.json")
-    assert EvidenceModel.load(folder / "model.json") == hand
-    (folder / "other.json").write_text("{}")
+    hand, path, other = model(), tmp_path / "model.json", tmp_path / "other.json"
+    hand.save(path)
+    assert EvidenceModel.load(path) == hand
+    other.write_text("{}")
     with pytest.raises(ValueError, match=r"other\.json must hold an evidence model"):
-        EvidenceModel.load(folder / "other.json")
+        EvidenceModel.load(other)

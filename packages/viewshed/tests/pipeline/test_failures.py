@@ -11,9 +11,7 @@ import pytest
 from tests.pipeline.test_stream import SMALL, alarming, at, estimator_of, shadow_map, waiting_estimator
 
 from viewshed import Sweep
-from viewshed.fov.estimate import FovEstimate
 from viewshed.pipeline import Answer, Caution, Pipeline, Statistics, reactions
-from viewshed.preprocess.leveling import LeveledSweep
 from viewshed.preprocess.streams import why_anew
 
 TINY = SMALL.select(np.arange(0, len(SMALL), 50))
@@ -123,7 +121,8 @@ def test_what_is_no_exception_ends_the_stream_with_the_reason(place: str, monkey
             put_all(pipeline, sources(place, error, 10_000))
         assert caught.value.__cause__ is error
         assert str(caught.value).startswith("the pipeline must run to take a sweep, its ")
-        assert closed(pipeline) is caught.value
+        for _ in range(2):
+            assert closed(pipeline) is caught.value
 
 
 @pytest.mark.parametrize(
@@ -197,38 +196,19 @@ def test_a_publish_that_is_slow_is_given_the_newest_answer() -> None:
     assert statistics.unpublished == {"newer ones replaced them": statistics.answered - 2}
 
 
-def test_a_slow_step_of_files_is_waited_for() -> None:
+def test_a_slow_step_of_files_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("viewshed.pipeline.stream._PUBLISH_PATIENCE_S", 0.1)
     answers: list[Answer] = []
 
     def slow(answer: Answer) -> None:
-        time.sleep(0.7)
+        time.sleep(0.3)
         answers.append(answer)
 
     pipeline = Pipeline(shadow_map(), slow, lossless=True)
-    for n in range(5):
+    for n in range(3):
         pipeline.put(at(n, TINY))
     assert isinstance(pipeline.close(), Statistics)
-    assert len(answers) == 5
-
-
-def test_an_estimator_that_dies_while_a_put_waits_for_room_wakes_it() -> None:
-    calls = 0
-
-    def estimate(leveled: LeveledSweep, history: object = None) -> FovEstimate:
-        nonlocal calls
-        calls += 1
-        if calls > 1:  # the first call is the warm-up
-            time.sleep(0.3)
-            raise SystemExit(3)
-        return shadow_map().estimate(leveled)
-
-    pipeline = Pipeline(estimator_of(estimate), lambda answer: None, lossless=True)
-    with pytest.raises(RuntimeError, match="its estimating ended with SystemExit: 3; make a new one"):
-        put_all(pipeline, sources("estimator", None, 50))
-    with pytest.raises(RuntimeError, match="SystemExit: 3"):
-        pipeline.close()
-    with pytest.raises(RuntimeError, match="SystemExit: 3"):
-        pipeline.close()
+    assert len(answers) == 3
 
 
 def test_a_driver_may_use_its_buffer_again_once_put_returns() -> None:

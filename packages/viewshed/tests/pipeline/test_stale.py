@@ -148,19 +148,19 @@ def test_a_stream_that_ended_by_an_error_still_becomes_stale() -> None:
         pipeline.close()
 
 
-@pytest.mark.parametrize("settings", [{"lossless": True}, {"stale_after_s": np.inf}])
+@pytest.mark.parametrize("settings", [{"lossless": True, "stale_after_s": 0.1}, {"stale_after_s": np.inf}])
 def test_files_are_never_stale(settings: dict[str, float]) -> None:
     answers: list[Answer] = []
 
     def publish(answer: Answer) -> None:
-        time.sleep(0.7)
+        time.sleep(0.2)
         answers.append(answer)
 
     with Pipeline(shadow_map(), publish, **settings) as pipeline:  # type: ignore[arg-type]
         pipeline.put(at(0.0, TINY))
-        time.sleep(0.2)
+        time.sleep(0.1)
         pipeline.put(at(0.1, TINY))
-        time.sleep(0.8)
+        time.sleep(0.4)
         newest = pipeline.newest()
     assert newest.reaction.caution == Caution.KEEP
     assert [answer.number for answer in answers] == [0, 1]

@@ -16,7 +16,7 @@ from viewshed_lab.data.wild import WildObservation, wild_scenes
 from viewshed_lab.training.no_return import arrays_of
 
 NUMBERS = Path(__file__).resolve().parents[2] / "src" / "core" / "calibration_network.inc"
-SCENES = wild_scenes("development", "road")[:12]
+SCENES = wild_scenes("development", "road")[:8]
 
 
 @lru_cache(maxsize=len(SCENES))

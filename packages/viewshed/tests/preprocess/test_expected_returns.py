@@ -56,7 +56,7 @@ def follow(beams: Beams, box: NDArray[np.float32], larger_m: float, leave_out_ow
 @given(st.integers(0, 2**32 - 1), st.booleans())
 def test_beams_that_meet_a_box_are_those_that_enter_it_step_by_step(seed: int, leave_out_own: bool) -> None:
     rng = np.random.default_rng(seed)
-    beams, boxes = random_beams(rng, 400), random_boxes(rng, 6)
+    beams, boxes = random_beams(rng, 200), random_boxes(rng, 6)
     found = _core.BeamsByAzimuth(*beams.arrays).expected_returns(boxes, HEIGHT_M, leave_out_own)
     for box, count in zip(boxes, found, strict=True):
         # Beams that graze an edge, or end there, are not sure.

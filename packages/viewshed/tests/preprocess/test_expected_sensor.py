@@ -58,14 +58,14 @@ def test_an_attack_on_the_sample_or_beside_it_changes_nothing(
 
 @pytest.mark.slow
 def test_real_sweeps_have_the_same_sensor_after_any_other(real_data: object) -> None:
-    expected = set[LidarModel | None]()
-    for entry in read_index(f"{real_data}/index.json"):
+    expected = dict[LidarModel | None, None]()
+    for number, entry in enumerate(read_index(f"{real_data}/index.json")):
         if entry.points is None:
             continue
         sweep = read_indexed(entry).replace(model=None)
         alone = identify_sensor(sweep)
-        expected.add(alone.model)
-        for model in expected:
+        expected[alone.model] = None
+        for model in [*expected][number % 3 :: 3]:  # each after a third of those seen so far
             assert_same(identify_sensor(sweep, SensorId(None, model)), alone)
 
 

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from tests.test_core_arrays import NODES, call
+from tests.test_core_arrays import NODES, call, street_points
 
 from viewshed import _core
 
@@ -18,15 +18,6 @@ def found(points: NDArray[np.float32], height_m: float | None = None) -> Any:
 
 def held(**named: Any) -> Any:
     return call("held_ground", **named)
-
-
-def street(count: int = 60_000) -> NDArray[np.float32]:
-    """Points of level ground 1.8 m below the sensor, with a step, and of things that stand on it."""
-    rng = np.random.default_rng(1)
-    points = rng.uniform(-40, 40, (count, 3))
-    points[:, 2] = -1.8 + 0.2 * (points[:, 1] > 5) + rng.normal(0, 0.02, count)
-    points[::7, 2] += rng.uniform(0, 2, len(points[::7]))
-    return points.astype(np.float32)
 
 
 def test_level_ground_is_found_where_it_lies() -> None:
@@ -51,7 +42,7 @@ def test_held_ground_is_taken_where_only_the_earlier_sweep_saw_it() -> None:
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e30, -1e30, 1e-40])
 def test_points_that_are_no_place_are_no_ground(value: float) -> None:
-    points = street()
+    points = street_points()
     points[::5, 2] = value
     points[1::5, 0] = value
     heights, std, *_ = found(points)

@@ -157,13 +157,17 @@ def test_without_earlier_sweeps_there_is_no_past_and_without_poses_no_way_to_see
             ShadowMap(GRID).estimate(now, [before])
 
 
-@given(st.lists(st.floats(0, 5), min_size=1, max_size=12), st.integers(1, 5), st.floats(0.1, 3))
-def test_a_memory_keeps_the_last_sweeps_that_lie_apart(steps_s: list[float], sweeps: int, every_s: float) -> None:
+@given(st.lists(st.floats(-4, 5), min_size=1, max_size=12), st.integers(1, 5), st.floats(0.1, 3))
+def test_a_memory_keeps_the_last_sweeps_that_lie_apart_and_begins_anew_where_time_goes_back(
+    steps_s: list[float], sweeps: int, every_s: float
+) -> None:
     buffer, times = SweepBuffer(sweeps, every_s), np.cumsum(steps_s)
     kept: list[int] = []
     empty = level_of(NOTHING.replace(world_from_sensor=at(0, 0)))
     for t_s in times:
         buffer.add(replace(empty, sweep=empty.sweep.replace(t_ns=int(1e9 * t_s))))
+        if kept and int(1e9 * t_s) < kept[-1]:
+            kept.clear()
         if not kept or int(1e9 * t_s) - kept[-1] >= every_s * 1e9:
             kept.append(int(1e9 * t_s))
     assert [leveled.sweep.t_ns for leveled in buffer._kept["ego"]] == kept[-sweeps:]

@@ -28,7 +28,7 @@ def port() -> Iterator[int]:
         return f"<p>{name}</p>".encode() + content, "seen"
 
     with serving(0, page_of) as server:
-        thread = threading.Thread(target=server.serve_forever)
+        thread = threading.Thread(target=server.serve_forever, args=(0.01,))
         thread.start()
         yield server.server_address[1]
         server.shutdown()

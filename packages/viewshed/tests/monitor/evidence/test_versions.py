@@ -5,13 +5,14 @@ from functools import cache
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from tests.monitor.evidence.by_hand import GRID
 
-from viewshed import Sweep, read_sweep
+from viewshed import BevGrid, Sweep, read_sweep
 from viewshed.geometry import Rigid
 from viewshed.io.samples import junction_path
 from viewshed.monitor.evidence import EVIDENCE, CellMemory, MonitoredSweep
 from viewshed.preprocess.leveling import LeveledSweep, level
+
+GRID = BevGrid(128, 64.0)
 
 NUMBERS: dict[str, tuple[int, float, float]] = {
     "arrival": (2, 1.07058, 27.9083),

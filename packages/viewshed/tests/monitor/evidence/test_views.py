@@ -5,15 +5,11 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from tests.monitor.evidence.drives import HEIGHT_M, YARD, leveled, look, measure
+from tests.monitor.evidence.drives import YARD, leveled, look, measure
 
 from viewshed import _core
-from viewshed.geometry import Rigid
 from viewshed.monitor.evidence import EVIDENCE, MonitoredSweep
 from viewshed.monitor.evidence.history import view_of
-from viewshed.sensors import lidar_model
-from viewshed.sweep import Sweep
-from viewshed_lab.sim import Scene, cast
 
 OF_POSES = ("arrival", "departure", "registration", "frame_noise")
 OF_EARLIER = (*OF_POSES, "same_noise")
@@ -44,53 +40,12 @@ def test_a_world_that_stands_still_is_no_cause_for_worry(name: str) -> None:
     assert np.nanmax(values) < most.get(name, 0.15)
 
 
-def _odd_sweeps() -> dict[str, Sweep]:
-    pose = Rigid(np.eye(3), np.array([0.0, 0.0, HEIGHT_M]))
-    usual = look(YARD, 1)
-    fewer = cast(lidar_model("vlp16"), Scene(YARD), HEIGHT_M)
-    return {
-        "no point": Sweep(np.zeros((0, 3), np.float32), world_from_sensor=pose, t_ns=1),
-        "one point": Sweep(np.array([[5.0, 1.0, 0.0]], np.float32), world_from_sensor=pose, t_ns=1),
-        "points alone": Sweep(usual.points, world_from_sensor=pose, t_ns=1),
-        "one direction": Sweep(
-            np.full((500, 3), 7.0, np.float32), ring=np.zeros(500, np.int16), world_from_sensor=pose, t_ns=1
-        ),
-        "other sensor": fewer.replace(world_from_sensor=pose, t_ns=1),
-        "far away": usual.replace(world_from_sensor=Rigid(np.eye(3), np.array([1e7, -1e7, 3.0])), t_ns=1),
-        "upside down": usual.replace(world_from_sensor=Rigid(np.diag([1.0, -1.0, -1.0]), np.zeros(3)), t_ns=1),
-    }
-
-
-@pytest.mark.parametrize("name", OF_EARLIER)
-@pytest.mark.parametrize("odd", list(_odd_sweeps()))
-def test_odd_sweeps_are_answered(name: str, odd: str) -> None:
-    usual, other = leveled(look(YARD, 3)), leveled(_odd_sweeps()[odd])
-    early = leveled(_odd_sweeps()[odd].replace(t_ns=2))
-    for now, earlier in ((usual, (early, other)), (other, (early,)), (early, (other, usual))):
-        assert EVIDENCE[name].measure(MonitoredSweep(now, earlier)).shape == (72,)
-
-
 def test_the_same_sweep_after_others_is_compared_anew() -> None:
     now, empty = leveled(look(YARD, 1)), leveled(look(YARD, 0))
     other = leveled(look(YARD[:4], 0))
     before = EVIDENCE["arrival"].measure(MonitoredSweep(now, (empty,)))
     after = EVIDENCE["arrival"].measure(MonitoredSweep(now, (other,)))
     assert before.max() < 8.0 < after.max()
-
-
-def test_one_and_two_threads_say_the_same() -> None:
-    sweeps = [leveled(look(YARD, number, 0.5 * number)) for number in range(4)]
-    threads = _core.threads()
-    found = []
-    try:
-        for count in (1, 2):
-            _core.set_threads(count)
-            fresh = [leveled(each.sweep) for each in sweeps]
-            monitored = MonitoredSweep(fresh[-1], tuple(fresh[:-1]))
-            found.append(np.stack([EVIDENCE[name].measure(monitored) for name in OF_EARLIER]))
-    finally:
-        _core.set_threads(threads)
-    np.testing.assert_array_equal(found[0], found[1])
 
 
 def test_views_of_arrays_that_do_not_fit_are_refused() -> None:
