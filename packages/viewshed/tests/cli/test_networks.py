@@ -87,6 +87,25 @@ def test_networks_stand_beside_the_others_in_evaluate_truth(tmp_path: Path) -> N
     )
 
 
+def test_where_no_method_is_asked_for_it_is_the_shadow_map_or_the_papers_label(tmp_path: Path) -> None:
+    x, y = np.meshgrid(np.linspace(2, 14, 60), np.linspace(-9, 9, 60))
+    sweep = Sweep(np.stack([x.ravel(), y.ravel(), np.full(3600, -1.8)], axis=1).astype(np.float32))
+    write_sweep(sweep, tmp_path / "sweep.ply")
+    for number, (words, method) in enumerate(
+        [
+            ((), "shadow_map"),
+            (("--grid", "indoor", "--target", "pedestrian"), "shadow_map"),
+            (("--grid", "64x16"), "shadow_map"),
+            (("--weights", "indoor", "--grid", "indoor", "--target", "pedestrian"), "unet"),
+            (("--parameters", "paper"), "paper_label"),
+        ]
+    ):
+        out = tmp_path / str(number)
+        code, said, err = run("estimate", tmp_path / "sweep.ply", "--height", 1.8, "--out", out, *words)
+        assert (code, err) == (0, "")
+        assert read_npz(out / ("sweep.npz" if method == "shadow_map" else f"sweep_{method}.npz")).method == method, said
+
+
 @pytest.mark.filterwarnings("default:method viewnet is gone")
 def test_the_network_that_is_gone_is_the_default_with_one_line(files: tuple[Path, Path], tmp_path: Path) -> None:
     words = ("--grid", "64x16", "--height", 1.8, "--abstain-below", 0.9)
