@@ -11,7 +11,6 @@ from viewshed.arrays import F64
 from viewshed.monitor.calibration import alarms_allowed
 from viewshed.objects.before import FOLLOWED_AFTER, SeenBefore, surface_shares
 from viewshed.objects.evidence import EvidenceCounts, EvidenceModel, birth_bins, jump_bins, view_bins
-from viewshed.objects.explained import take_tracks
 from viewshed.objects.jumps import LATEST, Sightings
 from viewshed.objects.memory import rows_of
 from viewshed.objects.sensor_view import Observed
@@ -115,7 +114,7 @@ def count_drive(drive: Iterable[Observed], counts: EvidenceCounts, rng: np.rando
         sightings = sightings.after(rows, tracks.t_s, boxes[:, :2])
         if view.cells is not None:
             # A ghost that is made in the sweep stands in the open, has a surface and moves as a track does.
-            honest = take_tracks(tracks, rows)
+            honest = tracks.take(rows)
             ghosts, in_the_open = replace(honest, boxes=elsewhere), forged_cells.free >= _OPEN
             followed = np.isin((~np.isnan(sightings.times[rows])).sum(axis=1), FOLLOWED_AFTER)
             surface = surface_shares(view.cells, honest.boxes)

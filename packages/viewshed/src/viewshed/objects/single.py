@@ -39,8 +39,6 @@ from viewshed.objects.explained import (
     REMOVED,
     ExplainedTracks,
     Explanation,
-    join_tracks,
-    take_tracks,
 )
 from viewshed.objects.memory import Memory, aligned, rows_of
 from viewshed.objects.sensor_view import SensorView, check_views
@@ -156,7 +154,7 @@ class SingleFusion:
         self, tracks: Tracks, detections: Detections, view: SensorView, dt_s: float
     ) -> tuple[Tracks, Memory]:
         """Return the tracks and, after them, those that the tracker has given up, with what is known of each."""
-        last = take_tracks(tracks, np.zeros(0, np.intp)) if self._last is None else self._last
+        last = tracks.take(np.zeros(0, np.intp)) if self._last is None else self._last
         memory = aligned(self._memory, last.ids, tracks.ids)
         is_matched = tracks.detection >= 0
         places = detections.boxes[tracks.detection[is_matched], :2]
@@ -171,8 +169,8 @@ class SingleFusion:
         given_up &= (apart >= _SAME_M).all(axis=1)
         if not given_up.any():
             return tracks, memory
-        carried_over = _predicted(take_tracks(last, given_up), tracks.t_s, dt_s, view)
-        return join_tracks(tracks, carried_over), memory.joined(self._memory.take(given_up))
+        carried_over = _predicted(last.take(given_up), tracks.t_s, dt_s, view)
+        return tracks.joined(carried_over), memory.joined(self._memory.take(given_up))
 
     def _still_there(self, tracks: Tracks, look: _Look, is_matched: Mask, views: Sequence[SensorView]) -> F64:
         """Return gone : still there (N,) by the cells at the track, or at the nearest surface if these fit better."""

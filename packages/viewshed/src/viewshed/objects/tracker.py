@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
-from typing import Protocol, Self
+from dataclasses import dataclass, replace
+from typing import Any, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,7 +33,7 @@ from viewshed.objects.kalman import (
     update_boxes,
     wrapped,
 )
-from viewshed.objects.tracks import Tracks
+from viewshed.objects.tracks import TRACK_ROWS, Tracks
 from viewshed.objects.views import View
 
 Numbers = NDArray[np.int32]
@@ -573,28 +573,8 @@ def _first_of_doubles(boxes: F64) -> NDArray[np.bool_]:
 
 def _shown(tracks: TrackTable, t_s: float, numbers: NDArray[np.intp], in_world: bool, notes: tuple[str, ...]) -> Tracks:
     """Return a copy of the tracks for others; their detections by the numbers that these came with."""
-    numbers = np.append(numbers, -1)
-    shown = Tracks(
-        t_s=t_s,
-        ids=tracks.ids.copy(),
-        states=tracks.states.copy(),
-        covariances=tracks.covariances.copy(),
-        boxes=tracks.boxes.copy(),
-        box_variances=tracks.box_variances.copy(),
-        kinds=tracks.kinds,
-        existence=tracks.existence.copy(),
-        confirmed=tracks.confirmed.copy(),
-        detection=numbers[tracks.detection].astype(np.int32),
-        visible=tracks.visible.copy(),
-        detectable=tracks.detectable.copy(),
-        born_s=tracks.born_s.copy(),
-        seen_s=tracks.seen_s.copy(),
-        born_hidden=tracks.born_hidden.copy(),
-        in_world=in_world,
-        notes=notes,
-    )
-    for each in fields(shown):
-        value = getattr(shown, each.name)
-        if each.name not in ("t_s", "in_world", "notes"):
-            value.setflags(write=False)
-    return shown
+    arrays: dict[str, NDArray[Any]] = {name: np.array(getattr(tracks, name)) for name in TRACK_ROWS}
+    arrays["detection"] = np.append(numbers, -1)[tracks.detection].astype(np.int32)
+    for array in arrays.values():
+        array.setflags(write=False)
+    return Tracks(t_s, **arrays, in_world=in_world, notes=notes)
