@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from viewshed.arrays import F64
 from viewshed.detections import Detections, ObjectKind
-from viewshed.objects.association import assign, assignment_solver, inside
+from viewshed.objects.association import assign, assignment_solver, inside, no_part_of_earlier
 from viewshed.objects.existence import (
     LEVELS,
     after_detection,
@@ -296,7 +296,7 @@ class ExistenceRules:
         What lies in the box of a track that was found in this sweep, or of a new one, is a part of it and begins none.
         """
         is_part = inside(born.boxes, tracks.boxes[tracks.detection >= 0]).any(axis=0)
-        begins = ~is_part & _first_of_doubles(born.boxes)
+        begins = ~is_part & no_part_of_earlier(inside(born.boxes, born.boxes))
         born, clutter = born.take(begins), self._clutter_per_m2(measured.take(begins))
         born.visible, born.detectable = view.visible(born.boxes), view.detectable(born.boxes, born.kinds)
         unseen = np.ones(len(born))
@@ -560,15 +560,6 @@ def _densities(states: F64, covariances: F64, measured: Measured, motion: Motion
         squared = (off[:, None, :] @ inverses @ off[:, :, None])[:, 0, 0]
         densities.append(share * np.exp(center_log_density(squared, determinants)))
     return np.stack(densities)
-
-
-def _first_of_doubles(boxes: F64) -> NDArray[np.bool_]:
-    """Return the boxes (K,) whose center lies in none of those that are returned before them."""
-    is_double = np.triu(inside(boxes, boxes), k=1)
-    first = np.ones(len(boxes), np.bool_)
-    for k in np.flatnonzero(is_double.any(axis=0)):
-        first[k] = not (is_double[:k, k] & first[:k]).any()
-    return first
 
 
 def _shown(tracks: TrackTable, t_s: float, numbers: NDArray[np.intp], in_world: bool, notes: tuple[str, ...]) -> Tracks:
