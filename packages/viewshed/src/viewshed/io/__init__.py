@@ -9,12 +9,14 @@ from __future__ import annotations
 import gzip
 import os
 from collections.abc import Iterator
+from typing import Any
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from viewshed._files import write_atomic
 from viewshed.geometry import Rigid
-from viewshed.io._columns import FILE_FRAMES, Columns, Given, file_frame_named, sweep_of
+from viewshed.io._columns import FILE_FRAMES, Columns, file_frame_named, sweep_of
 from viewshed.io._input import open_input
 from viewshed.io.formats import FORMATS, Format, all_formats, format_named, format_of
 from viewshed.io.index import IndexEntry, read_index
@@ -70,17 +72,17 @@ def read_sweeps(
     world_from_sensor: Rigid | None = None,
 ) -> Iterator[Sweep]:
     """Yield every complete sweep in a file; arguments and errors are those of :func:`read_sweep`."""
-    given = Given(
-        lidar_model(sensor) if isinstance(sensor, str) else sensor,
-        None if file_frame is None else file_frame_named(file_frame),
-        sensor_height_m, attitude, world_from_sensor,
-    )  # fmt: skip
+    model = lidar_model(sensor) if isinstance(sensor, str) else sensor
+    frame = None if file_frame is None else file_frame_named(file_frame)
+    stated: dict[str, Any] = {"sensor_height_m": sensor_height_m, "world_from_sensor": world_from_sensor}
+    stated["attitude"] = None if attitude is None else np.asarray(attitude)
+    stated = {name: value for name, value in stated.items() if value is not None}
     with open_input(path) as source:
         name = format_of(source) if format == "auto" else format
         if name not in all_formats():
             raise ValueError(f"format must be auto or one of {', '.join(all_formats())}, got {name!r}")
-        for columns in all_formats()[name].read(source, given.frame):
-            yield sweep_of(columns, source, given)
+        for columns in all_formats()[name].read(source, frame):
+            yield sweep_of(columns, source, model, stated)
 
 
 def read_indexed(entry: IndexEntry) -> Sweep:
