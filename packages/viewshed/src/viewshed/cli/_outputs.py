@@ -302,7 +302,7 @@ class Run:
             if kind == "png":
                 write_atomic(place, estimate.plot(leveled, f"{name}\n{summary_line(estimate, elapsed_ms)}", self.dark))
             else:
-                write_export(estimate, kind, place, crs=None if EXPORTERS[kind].in_crs is None else self.crs)
+                write_export(estimate, kind, place, crs=self.crs if EXPORTERS[kind].has_crs else None)
         return summary
 
 
