@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -42,8 +42,6 @@ Method = Annotated[
     str | None, typer.Option(help="Method: shadow_map (if not given), majority_vote, first_blocker, unet, …")
 ]
 
-Value = TypeVar("Value")
-
 
 @dataclass(frozen=True, slots=True)
 class PipelineOptions:
@@ -60,10 +58,24 @@ class PipelineOptions:
     certified_only: CertifiedOnly = False
 
     def settings(self, ctx: typer.Context) -> PipelineSettings:
-        """Return what they come to with the profile."""
-        return settings(
-            ctx, self.profile, method=self.method, grid=self.grid, history=self.history, monitor=self.monitor,
-            certify=self.certify, certified_only=self.certified_only,
+        """Return what they come to: of a profile where an option is not given, and the usual ones without one."""
+        from viewshed.guarantees.envelope import Threat
+        from viewshed.pipeline.profiles import profile_named
+        from viewshed.pipeline.reactions import RULES
+
+        threat = None if self.certify is None else Threat.parse(self.certify)
+        names = ("method", "grid", "history", "monitor")
+        chosen: dict[str, Any] = {name: getattr(self, name) for name in names}
+        if self.profile is None:
+            return PipelineSettings(**chosen, rules=RULES, certify=threat, certified_only=self.certified_only)
+        found = profile_named(self.profile)
+        for name in names:
+            source = ctx.get_parameter_source(name)
+            if source is None or source.name == "DEFAULT":
+                chosen[name] = getattr(found, name)
+        return PipelineSettings(
+            **chosen, rules=found.rules, rate_hz=found.rate_hz, certify=threat or found.certify,
+            certified_only=self.certified_only,
         )  # fmt: skip
 
 
@@ -79,9 +91,9 @@ class PipelineSettings:
     history: int  # earlier sweeps that help
     monitor: bool  # whether the stream is watched
     rules: ReactionRules  # how caution rises and falls
-    rate_hz: float  # sweeps of an agent that are estimated in a second of the recording; 0 for all
-    certify: Threat | None  # the threat whose certificate an alarm falls back to; None for none
-    certified_only: bool  # whether only certified cells are claimed
+    rate_hz: float = 0.0  # sweeps of an agent that are estimated in a second of the recording; 0 for all
+    certify: Threat | None = None  # the threat whose certificate an alarm falls back to; None for none
+    certified_only: bool = False  # whether only certified cells are claimed
 
     def at_rate(self, sweeps: Iterable[Named]) -> Iterator[Named]:
         """Return the sweeps without those that come sooner after the one before of their agent than the rate allows."""
@@ -89,40 +101,3 @@ class PipelineSettings:
 
         limit = RateLimit(self.rate_hz)
         return (named for named in sweeps if limit.takes(named.sweep.agent, named.sweep.t_ns))
-
-
-def settings(
-    ctx: typer.Context,
-    profile: str | None,
-    *,
-    method: str | None,
-    grid: str,
-    history: int,
-    monitor: bool,
-    certify: str | None,
-    certified_only: bool = False,
-) -> PipelineSettings:
-    """Return the settings of a profile, of those options that are given, and the usual ones where there is neither."""
-    from viewshed.guarantees.envelope import Threat
-    from viewshed.pipeline.profiles import profile_named
-    from viewshed.pipeline.reactions import RULES
-
-    threat = None if certify is None else Threat.parse(certify)
-    if profile is None:
-        return PipelineSettings(method, grid, history, monitor, RULES, 0.0, threat, certified_only)
-    found = profile_named(profile)
-
-    def chosen(name: str, given: Value, otherwise: Value) -> Value:
-        source = ctx.get_parameter_source(name)
-        return otherwise if source is None or source.name == "DEFAULT" else given
-
-    return PipelineSettings(
-        chosen("method", method, found.method),
-        chosen("grid", grid, found.grid),
-        chosen("history", history, found.history),
-        chosen("monitor", monitor, found.monitor),
-        found.rules,
-        found.rate_hz,
-        threat or found.certify,
-        certified_only,
-    )
