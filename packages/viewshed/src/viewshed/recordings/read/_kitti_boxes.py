@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from viewshed.geometry import Rigid
 from viewshed.io._input import InputFile, one_line, open_input
-from viewshed.recordings.read._kitti_files import named_texts, numbers_of, rigid_named, rigid_of, text_lines
-from viewshed.recordings.read.source import ObjectBox, note_damage
+from viewshed.recordings.read._kitti_files import named_texts, numbers_of, rigid_named, text_lines
+from viewshed.recordings.read.source import ObjectBox, note_damage, problems_of
 
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element
@@ -38,7 +38,8 @@ def velodyne_from_camera(root: Path, calibration: Path) -> Rigid:
     """
     texts = named_texts(root, calibration)
     where = f"{calibration}, R0_rect"
-    rectification = rigid_of(numbers_of(texts.get("R0_rect", ""), 9, where).reshape(3, 3), np.zeros(3), where)
+    with problems_of(where):
+        rectification = Rigid(numbers_of(texts.get("R0_rect", ""), 9, where).reshape(3, 3), np.zeros(3))
     return (rectification @ rigid_named(root, calibration, "Tr_velo_to_cam")).inverse()
 
 
@@ -60,10 +61,8 @@ def _box(line: str, where: str, velodyne_from_camera: Rigid) -> ObjectBox:
     *_, height, width, length, x, y, z, turn = numbers_of(rest, _NUMBERS, where)
     c, s = np.cos(turn), np.sin(turn)
     camera_from_box = Rigid(np.array([[c, s, 0.0], [0.0, 0.0, -1.0], [-s, c, 0.0]]), np.array([x, y - height / 2.0, z]))
-    try:
+    with problems_of(where):
         return ObjectBox(velodyne_from_camera @ camera_from_box, (length, width, height), category)
-    except ValueError as error:
-        raise ValueError(one_line(f"{where}: {error}")) from error
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -115,11 +114,9 @@ class Tracklets:
     def _box(self, track: _Track, frame: int, world_from_velodyne: Rigid) -> ObjectBox:
         """Return one object; as in ``run_demoTracklets.m`` of the development kit z is that of the bottom."""
         x, y, z, yaw = track.poses[frame - track.first].tolist()
-        try:
+        with problems_of(f"{self.place}, tracklet {track.name}, frame {frame}"):
             velodyne_from_box = Rigid.from_yaw(yaw, (x, y, z + track.size_m[2] / 2))
             return ObjectBox(world_from_velodyne @ velodyne_from_box, track.size_m, track.category, track.name)
-        except ValueError as error:
-            raise ValueError(one_line(f"{self.place}, tracklet {track.name}, frame {frame}: {error}")) from error
 
 
 def _items(source: InputFile) -> Iterator[Element]:
@@ -157,18 +154,14 @@ def _track(item: Element, name: str, where: str) -> _Track:
     length, width, height = numbers_of(_texts(item, _SIZE), len(_SIZE), f"{where}, l w h").tolist()
     if min(length, width, height) <= 0:
         raise ValueError(f"{where}: l, w and h must be positive, got {length:g}, {width:g}, {height:g}")
-    first = _first_frame(item.findtext("first_frame", ""), where)
+    first = item.findtext("first_frame", "").strip()
+    if not (first.isascii() and first.isdecimal()) or len(first) > len("4294967295"):
+        raise ValueError(one_line(f"{where}: first_frame must be the number of a frame, got {first[:40]!r}"))
     poses = [_pose(pose) for pose in item.findall("poses/item")]
     if not poses:
         raise ValueError(f"{where}: must have at least one pose, got none")
     category = item.findtext("objectType", "").strip()
-    return _Track(name, category, (length, width, height), first, np.array(poses, np.float64))
-
-
-def _first_frame(text: str, where: str) -> int:
-    if not (text.strip().isascii() and text.strip().isdecimal()) or len(text.strip()) > len("4294967295"):
-        raise ValueError(one_line(f"{where}: first_frame must be the number of a frame, got {text[:40]!r}"))
-    return int(text)
+    return _Track(name, category, (length, width, height), int(first), np.array(poses, np.float64))
 
 
 def _pose(item: Element) -> NDArray[np.float64]:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from viewshed.geometry import Rigid
 from viewshed.io._input import one_line
 from viewshed.recordings.read._nuscenes_tables import floats_of, rows_of_table
-from viewshed.recordings.read.source import ObjectBox
+from viewshed.recordings.read.source import ObjectBox, problems_of
 from viewshed.recordings.read.tf_tree import between
 
 
@@ -70,9 +70,7 @@ class Annotations:
         if instance not in self.categories:
             raise ValueError(one_line(f"{self.place}: row {row} names no object with a category, {instance!r}"))
         quaternion, center, (width, length, height) = np.split(self.values[row], (4, 7))
-        try:
+        with problems_of(f"{self.place}: row {row}"):
             pose = Rigid.from_quaternion(quaternion, center)
             size_m = (float(length), float(width), float(height))
             return ObjectBox(pose, size_m, self.categories[instance], instance)
-        except ValueError as error:
-            raise ValueError(one_line(f"{self.place}: row {row}: {error}")) from error

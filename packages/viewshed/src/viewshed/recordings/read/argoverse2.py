@@ -21,7 +21,7 @@ from viewshed.io import read_sweep
 from viewshed.io._columns import FILE_FRAMES
 from viewshed.io._input import inside, open_input
 from viewshed.io.argoverse import read_feather
-from viewshed.recordings.read.source import ObjectBox, SweepReader, SweepRef, note_damage
+from viewshed.recordings.read.source import ObjectBox, SweepReader, SweepRef, numbered
 from viewshed.sweep import Sweep
 
 SWEEPS, POSES, BOXES = "sensors/lidar", "city_SE3_egovehicle.feather", "annotations.feather"
@@ -67,13 +67,10 @@ class Argoverse2(SweepReader):
         )  # fmt: skip
 
     def _refs(self, log: Path) -> Sequence[SweepRef]:
-        files = sorted((log / SWEEPS).glob("*.feather"))
-        named = [file for file in files if file.stem.isascii() and file.stem.isdecimal() and len(file.stem) <= 18]
-        for file in sorted(set(files) - set(named)):
-            note_damage(self.problems, f"{file}: must be named by its nanoseconds; it is left out")
+        files = numbered((log / SWEEPS).glob("*.feather"), self.problems, "its nanoseconds")
         return [
             SweepRef(log.name, index, str(file), int(file.stem), sensor="up_lidar, down_lidar", key=file.stem)
-            for index, file in enumerate(sorted(named, key=lambda file: int(file.stem)))
+            for index, file in enumerate(files)
         ]
 
     def _pose(self, ref: SweepRef) -> Rigid | None:
@@ -90,8 +87,16 @@ class Argoverse2(SweepReader):
 
     def _table(self, path: Path, numbers: Sequence[str], words: Sequence[str] = ()) -> dict[str, NDArray[Any]] | None:
         """Return the columns of a table of a log, None where it has none; read once."""
+        if path not in self._tables and not path.is_file():
+            self._tables[path] = None
         if path not in self._tables:
-            self._tables[path] = _read_table(self.root, path, numbers, words) if path.is_file() else None
+            with open_input(inside(self.root, path)) as source:
+                table = read_feather(source.content(_MOST_BYTES), numbers, words)
+                names = (*numbers, *words)
+                missing = [name for name in names if name not in table]
+                if missing:
+                    raise ValueError(f"must have the columns {', '.join(names)}, got none of {', '.join(missing)}")
+            self._tables[path] = table
         return self._tables[path]
 
 
@@ -102,12 +107,3 @@ def logs_in(place: Path) -> list[Path]:
 
 def _log_of(ref: SweepRef) -> Path:
     return Path(ref.file).parents[2]
-
-
-def _read_table(root: Path, path: Path, numbers: Sequence[str], words: Sequence[str]) -> dict[str, NDArray[Any]]:
-    with open_input(inside(root, path)) as source:
-        table = read_feather(source.content(_MOST_BYTES), numbers, words)
-        missing = [name for name in (*numbers, *words) if name not in table]
-        if missing:
-            raise ValueError(f"must have the columns {', '.join((*numbers, *words))}, got none of {', '.join(missing)}")
-        return table

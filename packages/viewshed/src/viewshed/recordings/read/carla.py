@@ -197,17 +197,17 @@ def read_actors(root: Path, path: Path, damage: list[str]) -> Actors | None:
             if not line:
                 return Actors(path, places)
             if len(line) > _LINE_BYTES_MAX:
-                note_damage(
-                    damage, f"{path}: line {number} must be at most {_LINE_BYTES_MAX} bytes; the rest is left out"
-                )
-                return Actors(path, places)
+                problem = f"line {number} must be at most {_LINE_BYTES_MAX} bytes"
+                break
             try:
                 if line.strip():
                     places[_whole(_json_object(line).get("frame"), "frame")] = (start, len(line))
             except ValueError as error:
                 note_damage(damage, f"{path}: line {number} must be an object with a frame: {error}")
             start += len(line)
-    note_damage(damage, f"{path}: must have at most {_ROWS_MAX} lines; the rest is left out")
+        else:
+            problem = f"must have at most {_ROWS_MAX} lines"
+    note_damage(damage, f"{path}: {problem}; the rest is left out")
     return Actors(path, places)
 
 

@@ -9,10 +9,10 @@ from pathlib import Path
 
 from viewshed.geometry import Rigid
 from viewshed.io import read_sweep
-from viewshed.io._input import inside, one_line
+from viewshed.io._input import inside
 from viewshed.recordings.read._kitti_boxes import FILE, Tracklets, read_labels
 from viewshed.recordings.read._kitti_files import PoseTrack, camera_track, inertial_track, times_of
-from viewshed.recordings.read.source import ObjectBox, SweepReader, SweepRef, note_damage
+from viewshed.recordings.read.source import ObjectBox, SweepReader, SweepRef, note_damage, numbered, problems_of
 from viewshed.sweep import Sweep
 
 SENSOR = "hdl64e"
@@ -41,7 +41,7 @@ class _Kitti(SweepReader):
 
     def _add_scene(self, name: str, folder: Path, stamps: Path | None = None, *, seconds: bool = False) -> None:
         """Add the sweeps of a folder, in the order of their times where all have one, else of their numbers."""
-        files = _sweep_files(folder, self.problems)
+        files = numbered(folder.glob("*.bin"), self.problems)
         times: Sequence[int | None] = [None] * len(files)
         if stamps is not None:
             times = times_of(self.root, stamps, files, self.problems, seconds=seconds)
@@ -60,10 +60,8 @@ class _Kitti(SweepReader):
     def _pose(self, ref: SweepRef) -> Rigid | None:
         if ref.scene not in self._tracks:
             return None
-        try:
+        with problems_of(f"{ref.file}: has no pose"):
             return self._tracks[ref.scene](ref.key)
-        except (ValueError, OSError) as error:
-            raise ValueError(one_line(f"{ref.file}: has no pose: {error}")) from error
 
 
 class KittiRaw(_Kitti):
@@ -148,12 +146,3 @@ def parts_in(place: Path) -> list[Path]:
     """Return the folders of sweeps of KITTI's object set."""
     folders = (place / name / "velodyne" for name in ("training", "testing"))
     return [folder for folder in folders if folder.is_dir()]
-
-
-def _sweep_files(folder: Path, damage: list[str]) -> list[Path]:
-    """Return the ``.bin`` files of a folder by their numbers; others are named in ``damage``."""
-    files = sorted(folder.glob("*.bin"))
-    numbered = [file for file in files if file.stem.isascii() and file.stem.isdecimal() and len(file.stem) <= 18]
-    for file in sorted(set(files) - set(numbered)):
-        note_damage(damage, f"{file}: must be named by a number; it is left out")
-    return sorted(numbered, key=lambda file: int(file.stem))

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from viewshed.geometry import Rigid
 from viewshed.io import FILE_FRAMES, read_sweep
-from viewshed.io._input import inside, one_line
+from viewshed.io._input import inside
 from viewshed.recordings.read._nuscenes_boxes import Annotations
-from viewshed.recordings.read._nuscenes_tables import NuscenesTables, PoseTable
-from viewshed.recordings.read.source import ObjectBox, SweepReader, SweepRef
+from viewshed.recordings.read._nuscenes_tables import NuscenesTables
+from viewshed.recordings.read.source import ObjectBox, SweepReader, SweepRef, problems_of
 from viewshed.sweep import Sweep
 
 SENSOR = "hdl32e"
@@ -45,8 +44,9 @@ class Nuscenes(SweepReader):
         """Return a sweep with ring, time, pose, height and beams."""
         tokens = self._tables.tokens[ref.key]
         file = inside(self._folder.parent, ref.file)
-        ego_from_file = self._pose(self._tables.calibrations, tokens.calibration, ref)
-        world_from_ego = self._pose(self._tables.poses, tokens.pose, ref)
+        with problems_of(f"{ref.file}: has no pose"):
+            ego_from_file = self._tables.calibrations.pose(tokens.calibration)
+            world_from_ego = self._tables.poses.pose(tokens.pose)
         sweep = read_sweep(
             file, format="nuscenes", sensor=SENSOR, sensor_height_m=float(ego_from_file.translation[2]),
             world_from_sensor=world_from_ego @ ego_from_file @ FILE_FRAMES["nuscenes"].inverse(),
@@ -70,12 +70,6 @@ class Nuscenes(SweepReader):
             return self._annotations.of(first)
         t_ns, start_ns, end_ns = (other.t_ns or 0 for other in (ref, before, after))
         return self._annotations.between(first, last, (t_ns - start_ns) / max(end_ns - start_ns, 1))
-
-    def _pose(self, poses: PoseTable, token: str, ref: SweepRef) -> Rigid:
-        try:
-            return poses.pose(token)
-        except ValueError as error:
-            raise ValueError(one_line(f"{ref.file}: has no pose: {error}")) from error
 
 
 def versions_in(place: Path) -> list[Path]:

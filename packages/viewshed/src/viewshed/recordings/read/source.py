@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
@@ -229,6 +230,26 @@ def note_damage(damage: list[str], problem: str) -> None:
         damage.append(one_line(problem))
     elif len(damage) == _DAMAGE_LINES_MAX:
         damage.append(f"there is more damage; only the first {_DAMAGE_LINES_MAX} lines are named")
+
+
+@contextmanager
+def problems_of(what: str) -> Iterator[None]:
+    """Begin what is wrong inside with the name of what it is about."""
+    try:
+        yield
+    except (ValueError, OSError) as error:
+        raise ValueError(one_line(f"{what}: {error}")) from error
+
+
+def numbered(files: Iterable[Path], damage: list[str], how: str = "a number") -> list[Path]:
+    """Return files in the order of the numbers that they are named by; others are named in ``damage``."""
+    found = []
+    for file in sorted(files):
+        if file.stem.isascii() and file.stem.isdecimal() and len(file.stem) <= 18:
+            found.append(file)
+        else:
+            note_damage(damage, f"{file}: must be named by {how}; it is left out")
+    return sorted(found, key=lambda file: int(file.stem))
 
 
 def read_optional(path: Path, read: Callable[[Path], Any], damage: list[str]) -> Any:
