@@ -104,9 +104,9 @@ def count_drive(drive: Iterable[Observed], counts: EvidenceCounts, rng: np.rando
         counts.add("view", view_bins(view.view.visible(boxes)), view_bins(view.view.visible(elsewhere)))
         if view.cells is not None:
             kinds = tracks.kinds[is_matched]
-            counts.honest_cells.append(cell_evidence(boxes, kinds, view)[1])
+            counts.cells["honest"].append(cell_evidence(boxes, kinds, view)[1])
             forged_cells, forged_bins = cell_evidence(elsewhere, kinds, view)
-            counts.forged_cells.append(forged_bins)
+            counts.cells["forged"].append(forged_bins)
         # A moved track jumps in its latest places.
         sightings = sightings.joined(Sightings.none(1)).take(rows_of(tracks.ids, ids))  # the last row is a new track's
         ids = tracks.ids
