@@ -191,9 +191,9 @@ class Run:
 
     def summaries(self, sweeps: Iterable[Named], failures: Failures, batch: int = 1) -> Iterator[Summary]:
         """Yield the summary of each sweep, one by one and timed, or ``batch`` of them together."""
-        return self._one_by_one(sweeps, failures) if batch == 1 else self._in_batches(sweeps, failures, batch)
-
-    def _one_by_one(self, sweeps: Iterable[Named], failures: Failures) -> Iterator[Summary]:
+        if batch > 1:
+            yield from self._in_batches(sweeps, failures, batch)
+            return
         for named in sweeps:
             try:
                 yield self.one(named.sweep, named.name)
