@@ -18,27 +18,22 @@ _TABLE = "sample_data.json"
 
 
 class Nuscenes(SweepReader):
-    """One version of nuScenes, in the folder of its tables; ``samples`` and ``sweeps`` lie beside it.
+    """One version of nuScenes, in the folder of its tables or the one above, where ``samples`` and ``sweeps`` lie.
 
     The ego frame lies on the ground, so the height of the sensor is that of its calibration.
     """
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, place: Path) -> None:
+        versions = versions_in(place)
+        if len(versions) != 1:
+            names = ", ".join(version.name for version in versions)
+            found = f"got {names}; name one of these folders" if versions else "got none"
+            raise ValueError(f"{place}: must hold one version of nuScenes ({_TABLE} in a folder v1.0-…), {found}")
+        [self._folder] = versions
         self.problems: list[str] = []
-        self._folder = folder
-        self._tables = NuscenesTables.read(folder, self.problems)
+        self._tables = NuscenesTables.read(self._folder, self.problems)
         self._annotations: Annotations | None = None
         self.scenes = self._tables.scenes
-
-    @classmethod
-    def open(cls, place: Path) -> Nuscenes:
-        """Return the version of nuScenes in a folder: the version's own, or the one above that holds only one."""
-        versions = versions_in(place)
-        if len(versions) == 1:
-            return cls(versions[0])
-        names = ", ".join(version.name for version in versions)
-        found = f"got {names}; name one of these folders" if versions else "got none"
-        raise ValueError(f"{place}: must hold one version of nuScenes ({_TABLE} in a folder v1.0-…), {found}")
 
     def read(self, ref: SweepRef) -> Sweep:
         """Return a sweep with ring, time, pose, height and beams."""

@@ -5,7 +5,7 @@ The layout is that of OpenCDA's ``data_dumper.py``, which recorded OPV2V.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -42,17 +42,11 @@ class _Scenario:
 class Opv2v(SweepReader):
     """Scenarios with their agents; a scene is a scenario, agents have the names of their folders."""
 
-    def __init__(self, scenarios: Mapping[str, _Scenario], problems: Sequence[str]) -> None:
-        self._scenarios = scenarios
-        self.problems = problems
-        self.scenes = {name: _refs_of(name, scenario) for name, scenario in scenarios.items()}
-
-    @classmethod
-    def open(cls, place: Path) -> Opv2v:
-        """Return the scenarios in a folder: itself one, a folder of them, or the data set with its splits."""
+    def __init__(self, place: Path) -> None:
         load_pyyaml()
-        damage: list[str] = []
-        return cls({name: _open_scenario(place, folder, damage) for name, folder in scenarios_in(place)}, damage)
+        self.problems: list[str] = []
+        self._scenarios = {name: _open_scenario(place, folder, self.problems) for name, folder in scenarios_in(place)}
+        self.scenes = {name: _refs_of(name, scenario) for name, scenario in self._scenarios.items()}
 
     def read(self, ref: SweepRef) -> Sweep:
         """Return a sweep in the sensor's frame, with its pose; without one where its YAML file is not there."""

@@ -131,9 +131,9 @@ class Bag:
     root: Path  # the recording that it belongs to
     path: Path  # where it lies
     refs: tuple[SweepRef, ...]  # its clouds, in the order of time
-    poses: tuple[Rigid | None, ...]  # ``world_from_sensor`` of each, or None
-    covariances: tuple[F64 | None, ...]  # (6, 6) of each pose as odometry states it, or None
-    heights_m: tuple[float | None, ...]  # height of the sensor above the ground at each, or None
+    # of each ``world_from_sensor``, the covariance (6, 6) of that as odometry states it, and the height of the sensor
+    # above the ground; None for what is not known
+    places: tuple[tuple[Rigid | None, F64 | None, float | None], ...]
     encoding: str  # how its messages are written, ``cdr`` or ``ros1``
     kinds: Mapping[str, str]  # type of the messages of each topic with sweeps
     metadata: Mapping[str, str]  # of each topic with Ouster packets
@@ -157,7 +157,7 @@ def scan_bag(root: Path, scene: str, path: Path, damage: list[str], topic: str |
         return None
     contents, encoding = _Contents(), "cdr"
     try:
-        for message in file.messages((CLOUD, VELODYNE, *PANDAR, *LIVOX, SCAN, STRING, ODOMETRY, *TRANSFORMS)):
+        for message in file.messages((*_SWEEP_OF, STRING, ODOMETRY, *TRANSFORMS)):
             encoding = message.encoding
             _add_message(contents, message, damage)
         if not any(cloud.kind == CLOUD for cloud in contents.clouds) and set(OUSTER) & set(file.types.values()):
@@ -177,7 +177,7 @@ def _add_message(contents: _Contents, message: Message, damage: list[str]) -> No
     try:
         if message.encoding not in ("cdr", "ros1"):
             raise ValueError(f"messages must be written as cdr or ros1, got {message.encoding!r}")
-        if message.kind in (CLOUD, VELODYNE, *PANDAR, *LIVOX, SCAN):
+        if message.kind in _SWEEP_OF:
             t_ns, frame = _header(message)
             contents.clouds.append(_Cloud(message.topic, message.kind, t_ns, frame, message.where))
             return
@@ -285,7 +285,11 @@ def _packet_of(raw: bytes, encoding: str) -> bytes:
 def _note_topics(types: dict[str, str], contents: _Contents, damage: list[str], wanted: str | None) -> None:
     """Keep the messages of the topic that is wanted, else the preferred ones, and say which topics are not read."""
     if wanted is not None:
-        _keep_topic(contents, wanted, damage)
+        topics = Counter(cloud.topic for cloud in contents.clouds)
+        contents.clouds = [cloud for cloud in contents.clouds if cloud.topic.strip("/") == wanted.strip("/")]
+        if not contents.clouds:
+            known = ", ".join(f"{topic} ({count} sweeps)" for topic, count in sorted(topics.items())) or "none"
+            note_damage(damage, f"topic must be one with sweeps, {known}, got {wanted!r}")
         return
     held = {cloud.kind for cloud in contents.clouds}
     preferred = next((kinds for kinds in RETURNS if held & set(kinds)), ())
@@ -297,21 +301,13 @@ def _note_topics(types: dict[str, str], contents: _Contents, damage: list[str], 
             note_damage(contents.notes if with_clouds else damage, line)
         elif kind == CLOUD and topic not in with_clouds:
             note_damage(contents.notes if with_clouds else damage, f"topic {topic} has no cloud")
-        elif preferred and kind in (VELODYNE, *PANDAR, *LIVOX, SCAN) and topic not in with_clouds:
+        elif preferred and kind in _SWEEP_OF and topic not in with_clouds:
             line = f"topic {topic} ({kind}) is not read beside {', '.join(sorted(with_clouds))}"
             note_damage(contents.notes, line)
     if not with_clouds and CLOUD not in types.values():
-        topics = ", ".join(f"{topic} ({kind})" for topic, kind in sorted(types.items())) or "none"
-        wanted = "sensor_msgs/msg/PointCloud2 or LaserScan, packets of Velodyne, Ouster or Hesai"
-        note_damage(damage, f"no topic has {wanted}; topics that exist: {topics}")
-
-
-def _keep_topic(contents: _Contents, wanted: str, damage: list[str]) -> None:
-    topics = Counter(cloud.topic for cloud in contents.clouds)
-    contents.clouds = [cloud for cloud in contents.clouds if cloud.topic.strip("/") == wanted.strip("/")]
-    if not contents.clouds:
-        known = ", ".join(f"{topic} ({count} sweeps)" for topic, count in sorted(topics.items())) or "none"
-        note_damage(damage, f"topic must be one with sweeps, {known}, got {wanted!r}")
+        there = ", ".join(f"{topic} ({kind})" for topic, kind in sorted(types.items())) or "none"
+        needed = "sensor_msgs/msg/PointCloud2 or LaserScan, packets of Velodyne, Ouster or Hesai"
+        note_damage(damage, f"no topic has {needed}; topics that exist: {there}")
 
 
 def _add_odometry(contents: _Contents, damage: list[str]) -> None:
@@ -370,19 +366,19 @@ def _bag_of(root: Path, scene: str, path: Path, contents: _Contents, encoding: s
         None if (world := worlds[cloud.frame]) is None else contents.transforms.lookup(world, cloud.frame, cloud.t_ns)
         for cloud in clouds
     )
-    covariances = tuple(
-        _covariance(contents, cloud, worlds[cloud.frame], pose) for cloud, pose in zip(clouds, poses, strict=True)
-    )
     for topic in topics:
         at = [poses[index] for index, cloud in enumerate(clouds) if cloud.topic == topic and worlds[cloud.frame]]
         if at.count(None):
             problem = "lie outside the times of the transforms and have no pose"
             note_damage(contents.notes, f"{at.count(None)} of {len(at)} clouds of {topic} {problem}")
     _note_tilting(contents, clouds)
-    heights_m = tuple(_height_m(contents, cloud) for cloud in clouds)
+    places = tuple(
+        (pose, _covariance(contents, cloud, worlds[cloud.frame], pose), _height_m(contents, cloud))
+        for cloud, pose in zip(clouds, poses, strict=True)
+    )
     kinds = {cloud.topic: cloud.kind for cloud in clouds}
     metadata = {topic: text for topic, text in contents.metadata.items() if topic in kinds}
-    return Bag(root, path, refs, poses, covariances, heights_m, encoding, kinds, metadata, tuple(contents.notes))
+    return Bag(root, path, refs, places, encoding, kinds, metadata, tuple(contents.notes))
 
 
 def _world(contents: _Contents, frame: str) -> str | None:
@@ -473,10 +469,10 @@ class BagRecording(SweepReader):
             raise
         except Exception as error:  # the decoder of rosbags raises a dozen types on damaged messages
             raise ValueError(f"{ref.file}: {ref.sensor} at {ref.t_ns} ns: {one_line(error)}") from error
+        pose, covariance, height_m = bag.places[ref.index]
         return sweep.replace(
-            agent=ref.agent, t_ns=ref.t_ns, world_from_sensor=bag.poses[ref.index],
-            sensor_height_m=bag.heights_m[ref.index], pose_covariance=bag.covariances[ref.index],
-        )  # fmt: skip
+            agent=ref.agent, t_ns=ref.t_ns, world_from_sensor=pose, sensor_height_m=height_m, pose_covariance=covariance
+        )
 
     def _sweep(self, bag: Bag, ref: SweepRef) -> Sweep:
         kind, decode = bag.kinds[ref.sensor], decoder(bag.encoding)
