@@ -18,7 +18,7 @@ from viewshed._files import write_atomic
 from viewshed.geometry import Rigid
 from viewshed.io._columns import FILE_FRAMES, Columns, file_frame_named, sweep_of
 from viewshed.io._input import open_input
-from viewshed.io.formats import FORMATS, Format, all_formats, format_named, format_of
+from viewshed.io.formats import FORMATS, Format, all_formats, format_of, writer_named
 from viewshed.io.index import IndexEntry, read_index
 from viewshed.sensors import LidarModel, lidar_model
 from viewshed.sweep import Sweep
@@ -111,10 +111,7 @@ def write_sweep(sweep: Sweep, path: str | os.PathLike[str], *, format: str = "au
         ValueError: the format is not known or cannot hold the sweep.
     """
     where = os.fspath(path)
-    write = all_formats()[format_named(format, where)].write
-    if write is None:
-        raise ValueError(f"{where}: format {format!r} is only read")
-    content = write(sweep)
+    content = writer_named(format, where)(sweep)
     if where.lower().endswith(".gz"):
         content = gzip.compress(content, compresslevel=6, mtime=0)
     write_atomic(where, content)

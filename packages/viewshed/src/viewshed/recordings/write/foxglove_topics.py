@@ -99,6 +99,7 @@ def _plain_messages(moment: Moment) -> Iterator[tuple[str, Schema, bytes]]:
             yield topic, _JSON, json.dumps(value, ensure_ascii=False).encode()
 
 
+_HOST = "127.0.0.1"
 _JSON = Schema("viewshed", "jsonschema", "json", b'{"type": "object"}')
 
 
@@ -231,12 +232,8 @@ def _vector(xyz: Iterable[float]) -> Any:
 
 
 @contextmanager
-def foxglove_server(port: int, host: str = "127.0.0.1") -> Iterator[Callable[[Moment], None]]:
-    """Serve moments live to Foxglove and yield what takes them.
-
-    Args:
-        port: of the server; 0 takes one that is free.
-        host: where it listens; the own machine alone if not given.
+def foxglove_server(port: int) -> Iterator[Callable[[Moment], None]]:
+    """Serve moments live to Foxglove on the own machine alone, and yield what takes them; port 0 is one that is free.
 
     Raises:
         ImportError: foxglove-sdk is not installed.
@@ -247,9 +244,9 @@ def foxglove_server(port: int, host: str = "127.0.0.1") -> Iterator[Callable[[Mo
 
     context = foxglove.Context()
     try:
-        server = foxglove.start_server(name="viewshed", host=host, port=port, context=context)
+        server = foxglove.start_server(name="viewshed", host=_HOST, port=port, context=context)
     except Exception as error:  # of a type of its own
-        raise OSError(f"port {port} of {host} cannot be served: {error}; choose another --foxglove") from error
+        raise OSError(f"port {port} of {_HOST} cannot be served: {error}; choose another --foxglove") from error
     channels: dict[str, Any] = {}
 
     def record(moment: Moment) -> None:
