@@ -13,7 +13,7 @@ import typer
 
 from viewshed.cli._options import NOT_FOLLOWED, Following, NetworkOptions, parse_grid
 from viewshed.cli._outputs import Failures, Named, refuse_inputs
-from viewshed.cli._profile import PipelineOptions, PipelineSettings
+from viewshed.cli._profile import PipelineOptions
 from viewshed.cli._stream import history_buffer
 from viewshed.cli._terminal import note
 from viewshed.cli._verdicts import stream_verdicts, watching
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from viewshed.objects.object_stream import SeenObjects
     from viewshed.pipeline import Answer, Pipeline
     from viewshed.pipeline.adversary import Adversary
+    from viewshed.pipeline.profiles import Profile
     from viewshed.recordings.write.moment import DriveTruth, Moment, RisingTimes
     from viewshed.recordings.write.track_metrics import TrackMetrics
     from viewshed.sweep import Sweep
@@ -194,7 +195,7 @@ def objects_line(objects: SeenObjects) -> str:
 
 def run_recorded(
     running: PipelineOptions,
-    chosen: PipelineSettings,
+    chosen: Profile,
     sweeps: Iterable[Awaited],
     following: Following,
     failures: Failures,
@@ -211,7 +212,10 @@ def run_recorded(
     estimator = NetworkOptions().estimator(chosen.method, parse_grid(chosen.grid), running.target)
     buffer, watch = history_buffer(estimator, chosen.history), watching(chosen.monitor, running.monitor_file)
     with recorders(to, schemas, inputs) as records:
-        count = answer(records, sweeps, estimator, buffer, watch, chosen, following, failures, is_live=is_live)
+        count = answer(
+            records, sweeps, estimator, buffer, watch, chosen, following, failures, is_live=is_live,
+            certified_only=running.certified_only,
+        )  # fmt: skip
         if to is not None and not count:
             raise ValueError(f"no sweep could be read, {to} was not written")
     if to is not None:
@@ -252,11 +256,12 @@ def answer(
     estimator: Estimator,
     history: SweepBuffer | None,
     watch: StreamMonitor | None,
-    chosen: PipelineSettings,
+    chosen: Profile,
     following: Following,
     failures: Failures,
     *,
     is_live: bool,
+    certified_only: bool = False,
 ) -> int:
     """Answer sweeps, hand the answers to what records, and return how many sweeps there were; see :func:`run`."""
     from viewshed.pipeline import Pipeline
@@ -265,7 +270,7 @@ def answer(
     listener = Listener(records, failures, is_live=is_live, following=following, adversary=adversary)
     pipeline = Pipeline(
         estimator, listener, history=history, monitor=watch, objects=following.object_stream(adversary),
-        rules=chosen.rules, certify=chosen.certify, certified_only=chosen.certified_only,
+        rules=chosen.rules, certify=chosen.certify, certified_only=certified_only,
         lossless=not is_live, stale_after_s=math.inf,
     )  # fmt: skip
     return run(pipeline, listener, sweeps, adversary)

@@ -13,7 +13,7 @@ from viewshed._extras import plugin
 from viewshed.cli._options import AS_THEY_ARE, NOT_FOLLOWED, Following, Reading
 from viewshed.cli._outputs import Failures, output_names
 from viewshed.cli._places import chosen_files
-from viewshed.cli._profile import AS_USUAL, PipelineOptions
+from viewshed.cli._profile import AS_USUAL, PipelineOptions, at_rate
 from viewshed.cli._record import Awaited, SchemaNames, run_recorded
 from viewshed.cli._stream import named_sweeps
 from viewshed.cli.replay import USUAL_PERIOD_S
@@ -68,7 +68,7 @@ def record(
     else:
         jobs = list(chosen_files(files, None))
         names = output_names([file for file, _ in jobs])
-        named = chosen.at_rate(named_sweeps(reading, jobs, names, failures, history=running.history))
+        named = at_rate(named_sweeps(reading, jobs, names, failures, history=running.history), chosen.rate_hz)
         stream = ((each.sweep, None) for each in named)
     inputs = [] if is_simulated else files
     run_recorded(

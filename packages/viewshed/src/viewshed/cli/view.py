@@ -29,7 +29,7 @@ from viewshed.cli._options import (
 )
 from viewshed.cli._outputs import Failures, Named, output_names, refuse_inputs, report_doubts, summary_line, warm_up
 from viewshed.cli._places import chosen_files
-from viewshed.cli._profile import Method, PipelineOptions, PipelineSettings, ProfileName
+from viewshed.cli._profile import Method, PipelineOptions, ProfileName, at_rate
 from viewshed.cli._record import Awaited, Center, answer, note_unmet, objects_line, repeated
 from viewshed.cli._stream import history_buffer, named_sweeps
 from viewshed.cli._terminal import BAD_INPUTS, complain, one_line
@@ -45,6 +45,7 @@ if TYPE_CHECKING:
     from viewshed.fov.estimate import FovEstimate
     from viewshed.monitor import IntegrityReport, StreamMonitor
     from viewshed.pipeline.adversary import Adversary
+    from viewshed.pipeline.profiles import Profile
     from viewshed.preprocess.leveling import LeveledSweep
     from viewshed.show.view import Frame, PackedFrame
 
@@ -111,7 +112,7 @@ def view(
     if foxglove is not None:
         estimator = network.estimator(chosen.method, cells, target)
         watch, live = watching(chosen.monitor, monitor_file), repeated(read, loop=sweeps is None)
-        taken = islice(chosen.at_rate(live), 0, None if sweeps is None else step * sweeps, step)
+        taken = islice(at_rate(live, chosen.rate_hz), 0, None if sweeps is None else step * sweeps, step)
         buffer = history_buffer(estimator, chosen.history)
         _serve(foxglove, taken, estimator, buffer, watch, chosen, failures, following)
     else:
@@ -119,7 +120,7 @@ def view(
         if chosen.monitor or monitor_file:
             own, check = _monitored(monitor_file, weights, method)
         estimator = own or network.estimator(chosen.method, cells, target)
-        taken = islice(chosen.at_rate(read()), 0, None if sweeps is None else step * sweeps, step)
+        taken = islice(at_rate(read(), chosen.rate_hz), 0, None if sweeps is None else step * sweeps, step)
         frames = _frames(taken, estimator, history_buffer(estimator, chosen.history), check, failures, following)
         title = f"{places[0].name or places[0]}{f' and {len(places) - 1} more' if len(places) > 1 else ''}"
         typer.echo(_written(html, rerun or Path(), frames, title, places))
@@ -208,7 +209,7 @@ def _serve(
     estimator: Estimator,
     buffer: SweepBuffer | None,
     watch: StreamMonitor | None,
-    chosen: PipelineSettings,
+    chosen: Profile,
     failures: Failures,
     following: Following,
 ) -> None:
