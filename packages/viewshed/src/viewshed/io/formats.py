@@ -15,7 +15,7 @@ from viewshed.io._input import InputFile
 from viewshed.io.argoverse import read_argoverse2
 from viewshed.io.las import read_las
 from viewshed.io.numpy_files import read_npy, read_npz, write_npy, write_npz
-from viewshed.io.ouster import metadata_path, read_ouster
+from viewshed.io.ouster_packets import metadata_path, read_ouster
 from viewshed.io.pcd import read_pcd, write_pcd
 from viewshed.io.ply import read_ply, write_ply
 from viewshed.io.raw_floats import columns_of_bin, read_kitti, read_nuscenes, write_kitti, write_nuscenes

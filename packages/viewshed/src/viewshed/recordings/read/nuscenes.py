@@ -2,19 +2,85 @@
 
 from __future__ import annotations
 
+from array import array
+from dataclasses import dataclass, replace
 from pathlib import Path
+from sys import intern
 
+import numpy as np
+from numpy.typing import NDArray
+
+from viewshed.geometry import Rigid
 from viewshed.io import FILE_FRAMES, read_sweep
-from viewshed.io._input import inside
-from viewshed.recordings.read._nuscenes_boxes import Annotations
-from viewshed.recordings.read._nuscenes_tables import NuscenesTables
+from viewshed.io._input import inside, one_line
+from viewshed.recordings.read._nuscenes_tables import NuscenesTables, floats_of, rows_of_table
 from viewshed.recordings.read.source import ObjectBox, SweepReader, SweepRef, problems_of
+from viewshed.recordings.read.tf_tree import between
 from viewshed.sweep import Sweep
 
 SENSOR = "hdl32e"
 """Beam table of nuScenes' LiDAR."""
 
 _TABLE = "sample_data.json"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Annotations:
+    """The rows of ``sample_annotation``, grouped by sample."""
+
+    place: Path  # the table's file
+    rows: dict[str, array[int]]  # token of the sample → rows of ``values`` and ``instances``
+    # (N, 10) float64: quaternion (w, x, y, z), center and width, length, height in meters; not finite where the row is
+    # damaged
+    values: NDArray[np.float64]
+    instances: list[str]  # token of the object, by row
+    categories: dict[str, str]  # token of the object → name of its category
+
+    @classmethod
+    def read(cls, folder: Path) -> Annotations:
+        """Return the annotations of the version in a folder."""
+        names = {str(row.get("token")): str(row.get("name")) for row in rows_of_table(folder / "category.json")}
+        objects = (
+            (str(row.get("token")), str(row.get("category_token"))) for row in rows_of_table(folder / "instance.json")
+        )
+        categories = {token: names[category] for token, category in objects if category in names}
+        place = folder / "sample_annotation.json"
+        rows: dict[str, array[int]] = {}
+        values, instances = array("d"), []
+        for number, row in enumerate(rows_of_table(place)):
+            rows.setdefault(str(row.get("sample_token")), array("q")).append(number)
+            instances.append(intern(str(row.get("instance_token"))))
+            values.extend(floats_of([row.get(key) for key in ("rotation", "translation", "size")], (4, 3, 3)))
+        return cls(place, rows, np.array(values).reshape(-1, 10), instances, categories)
+
+    def of(self, sample: str) -> tuple[ObjectBox, ...] | None:
+        """Return the boxes of a sample; None where the version has no annotations at all."""
+        return tuple(self._box(row) for row in self.rows.get(sample, ())) if self.rows else None
+
+    def between(self, before: str, after: str, share: float) -> tuple[ObjectBox, ...] | None:
+        """Return the boxes at ``share`` in [0, 1] of the way from one sample to another, of objects that are in both.
+
+        Centers go straight, headings the shorter way round, and the size is the later one, as in ``get_boxes`` of the
+        development kit; objects of the later sample alone are left out, which it shows where they will be.
+        """
+        first = {self.instances[row]: row for row in self.rows.get(before, ())}
+        pairs = ((first.get(self.instances[row]), row) for row in self.rows.get(after, ()))
+        boxes = tuple(self._mixed(old, new, share) for old, new in pairs if old is not None)
+        return boxes if self.rows else None
+
+    def _mixed(self, old: int, new: int, share: float) -> ObjectBox:
+        earlier, later = self._box(old), self._box(new)
+        return replace(later, world_from_box=between(earlier.world_from_box, later.world_from_box, share))
+
+    def _box(self, row: int) -> ObjectBox:
+        instance = self.instances[row]
+        if instance not in self.categories:
+            raise ValueError(one_line(f"{self.place}: row {row} names no object with a category, {instance!r}"))
+        quaternion, center, (width, length, height) = np.split(self.values[row], (4, 7))
+        with problems_of(f"{self.place}: row {row}"):
+            pose = Rigid.from_quaternion(quaternion, center)
+            size_m = (float(length), float(width), float(height))
+            return ObjectBox(pose, size_m, self.categories[instance], instance)
 
 
 class Nuscenes(SweepReader):
