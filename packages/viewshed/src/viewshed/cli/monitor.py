@@ -16,7 +16,7 @@ from viewshed.cli import _options as options
 from viewshed.cli._options import AUTO, MonitorFile, Passes, Reading, Seed, Weights
 from viewshed.cli._outputs import Failures, free_name, make_folder, refuse_inputs, stem_of, with_bar
 from viewshed.cli._places import chosen_files, place_of_result
-from viewshed.cli._stream import placed_sweeps, poses_of
+from viewshed.cli._stream import placed_sweeps
 from viewshed.cli._terminal import BAD_INPUTS
 from viewshed.cli._verdicts import stream_monitor, stream_verdicts, verdicts
 
@@ -238,16 +238,13 @@ class _Source:
     def _read(self, place: str) -> Iterator[Seen]:
         reading = Reading(self.sensor, topic=self.topic, poses=self.poses)
         jobs = list(chosen_files([Path(place)], None))
-        poses, count = poses_of(reading, jobs), 0
-        for job in jobs:
-            path = job[0]
+        for path, sweeps in placed_sweeps(reading, jobs):
             several = path.is_dir()
             try:
-                for number, sweep in enumerate(placed_sweeps(reading, jobs, job, poses, count)):
-                    count += 1
+                for number, sweep in enumerate(sweeps):
                     name = f"{path.name} {number:05}" if several or number else path.name
                     # Files of a sweep each are one stream if their times say so.
-                    is_stream = poses is not None or (not several and sweep.t_ns is not None)
+                    is_stream = self.poses is not None or (not several and sweep.t_ns is not None)
                     yield Seen(place if is_stream else str(path), name, sweep)
             except BAD_INPUTS as error:
                 if self.failures is None:
