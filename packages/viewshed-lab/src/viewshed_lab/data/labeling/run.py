@@ -13,7 +13,7 @@ from typing import Any
 from viewshed.io import IndexEntry, read_index, read_indexed
 from viewshed.preprocess.sensor_identification import infer_sensor
 from viewshed.recordings.read import open_source
-from viewshed.recordings.read.source import RecordingSource, SweepReader, SweepRef, SweepSource
+from viewshed.recordings.read.source import RecordingSource, SweepRef, SweepSource
 from viewshed.sensors import LidarModel, lidar_model
 from viewshed.sweep import Sweep
 from viewshed_lab._jobs import Engine
@@ -180,20 +180,20 @@ def _open_index(index: str) -> SweepSource:
             drives.setdefault(_scene_of(entry, place.resolve().parent), []).append(entry)
     if not drives:
         raise ValueError(f"{index} must name at least one sweep, got none")
-    return RecordingSource(place, _Index({name: sorted(entries, key=_time_of) for name, entries in drives.items()}))
+    return _Index(place, {name: sorted(entries, key=_time_of) for name, entries in drives.items()})
 
 
-class _Index(SweepReader):
+class _Index(RecordingSource):
     """The sweeps of an index by drive."""
 
-    def __init__(self, drives: Mapping[str, Sequence[IndexEntry]]) -> None:
-        self._drives = drives
-        self.scenes = {
+    def __init__(self, place: Path, drives: Mapping[str, Sequence[IndexEntry]]) -> None:
+        self.place, self._drives = place, drives
+        self.sweeps = {
             scene: [SweepRef(scene, k, str(entry.file), _t_ns_of(entry), key=str(k)) for k, entry in enumerate(entries)]
             for scene, entries in drives.items()
         }
 
-    def read(self, ref: SweepRef) -> Sweep:
+    def _read(self, ref: SweepRef) -> Sweep:
         """Return a sweep with what the index tells about it."""
         return read_indexed(self._drives[ref.scene][ref.index])
 

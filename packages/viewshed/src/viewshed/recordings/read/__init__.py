@@ -7,7 +7,7 @@ from pathlib import Path
 
 from viewshed.io._input import errors_named
 from viewshed.recordings.read import argoverse2, bag_files, carla, kitti, nuscenes, opv2v, rosbag
-from viewshed.recordings.read.source import RecordingSource, SourceKind, SweepSource
+from viewshed.recordings.read.source import SourceKind, SweepSource
 
 SOURCES: dict[str, SourceKind] = {
     "nuscenes": SourceKind("nuScenes' tables in v1.0-*/", nuscenes.versions_in, nuscenes.Nuscenes),
@@ -52,12 +52,12 @@ def open_source(place: str | os.PathLike[str], kind: str = "auto", *, topic: str
         if topic is not None:
             if not SOURCES["bag"].fits(path):
                 raise ValueError(f"{path}: topic goes with a bag, got {topic!r}; leave it out")
-            return RecordingSource(path, rosbag.BagRecording.open(path, topic))
+            return rosbag.BagRecording.open(path, topic)
         for known in SOURCES.values() if kind == "auto" else (SOURCES[kind],):
             if kind != "auto" or known.fits(path):
-                reader = known.open(path)
-                if not reader.scenes:
+                source = known.open(path)
+                if not source.sweeps:
                     raise ValueError(f"{path}: must hold {known.layout}, got none")
-                return RecordingSource(path, reader)
+                return source
     layouts = "; ".join(f"{known.layout} ({name})" for name, known in SOURCES.items())
     raise ValueError(f"{path}: no recording found here; looked for {layouts}")

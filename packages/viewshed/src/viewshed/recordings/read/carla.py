@@ -34,7 +34,7 @@ from numpy.typing import NDArray
 from viewshed.geometry import Rigid
 from viewshed.io import read_sweep
 from viewshed.io._input import inside, one_line, open_input
-from viewshed.recordings.read.source import ObjectBox, SweepReader, SweepRef, note_damage, numbers_in, read_optional
+from viewshed.recordings.read.source import ObjectBox, RecordingSource, SweepRef, note_damage, numbers_in, read_optional
 from viewshed.sensors import MAX_RINGS, LidarModel
 from viewshed.sweep import Sweep
 
@@ -294,15 +294,16 @@ class _Scene:
     actors: Actors | None
 
 
-class CarlaRecording(SweepReader):
+class CarlaRecording(RecordingSource):
     """A recording, or a folder of recordings; each is a scene."""
 
     def __init__(self, place: Path) -> None:
+        self.place = place
         self.problems: list[str] = []
         self._scenes = {folder.name: _open_scene(place, folder, self.problems) for folder in recordings_in(place)}
-        self.scenes = {name: _refs_of(name, scene) for name, scene in self._scenes.items()}
+        self.sweeps = {name: _refs_of(name, scene) for name, scene in self._scenes.items()}
 
-    def read(self, ref: SweepRef) -> Sweep:
+    def _read(self, ref: SweepRef) -> Sweep:
         """Return a sweep in the sensor's frame, with pose and time where the table of poses has its frame."""
         scene = self._scenes[ref.scene]
         agent = scene.agents[ref.agent]
@@ -317,7 +318,7 @@ class CarlaRecording(SweepReader):
             sensor_height_m=agent.sensor_height_m,
         )  # fmt: skip
 
-    def boxes(self, ref: SweepRef) -> tuple[ObjectBox, ...] | None:
+    def _boxes(self, ref: SweepRef) -> tuple[ObjectBox, ...] | None:
         """Return the actors of the sweep's tick, without the one that carries the sensor; None where there are none."""
         actors = self._scenes[ref.scene].actors
         return None if actors is None else actors.boxes(int(ref.key), ref.agent)

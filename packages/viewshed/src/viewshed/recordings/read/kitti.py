@@ -25,7 +25,7 @@ from viewshed.recordings.read._kitti_files import (
     text_lines,
     times_of,
 )
-from viewshed.recordings.read.source import ObjectBox, SweepReader, SweepRef, note_damage, numbered, problems_of
+from viewshed.recordings.read.source import ObjectBox, RecordingSource, SweepRef, note_damage, numbered, problems_of
 from viewshed.sweep import Sweep
 
 if TYPE_CHECKING:
@@ -38,16 +38,16 @@ SENSOR_HEIGHT_M = 1.73
 """Height of the LiDAR above the ground (https://www.cvlibs.net/datasets/kitti/setup.php)."""
 
 
-class _Kitti(SweepReader):
+class _Kitti(RecordingSource):
     """What the three layouts share: sweeps named by numbers, with KITTI's beams and height, and perhaps poses."""
 
-    def __init__(self, root: Path) -> None:
-        self.root = root
-        self.scenes: dict[str, tuple[SweepRef, ...]] = {}
+    def __init__(self, place: Path, root: Path | None = None) -> None:
+        self.place, self.root = place, place if root is None else root
+        self.sweeps: dict[str, tuple[SweepRef, ...]] = {}
         self.problems: list[str] = []
         self._tracks: dict[str, PoseTrack] = {}
 
-    def read(self, ref: SweepRef) -> Sweep:
+    def _read(self, ref: SweepRef) -> Sweep:
         """Return a sweep with beams and height, its time where there is one, its pose unless the scene has none."""
         sweep = read_sweep(
             inside(self.root, ref.file), format="kitti", sensor=SENSOR, sensor_height_m=SENSOR_HEIGHT_M,
@@ -65,7 +65,7 @@ class _Kitti(SweepReader):
                 for file, t_ns in zip(files, times, strict=True)]  # fmt: skip
         if None not in times:
             refs.sort(key=lambda ref: ref.t_ns or 0)
-        self.scenes[name] = tuple(replace(ref, index=index) for index, ref in enumerate(refs))
+        self.sweeps[name] = tuple(replace(ref, index=index) for index, ref in enumerate(refs))
 
     def _add_poses(self, name: str, what: str, read: Callable[[], PoseTrack]) -> None:
         try:
@@ -89,14 +89,14 @@ class KittiRaw(_Kitti):
 
     def __init__(self, place: Path) -> None:
         drives = drives_in(place)
-        super().__init__(place.parent if place in drives else place)  # calibration lies beside a drive
+        super().__init__(place, place.parent if place in drives else place)  # calibration lies beside a drive
         self._tracklets: dict[str, Tracklets | None] = {}
         for drive in drives:
             points = drive / "velodyne_points"
             self._add_scene(drive.name, points / "data", points / "timestamps.txt")
             self._add_poses(drive.name, drive.name, partial(inertial_track, self.root, drive))
 
-    def boxes(self, ref: SweepRef) -> tuple[ObjectBox, ...] | None:
+    def _boxes(self, ref: SweepRef) -> tuple[ObjectBox, ...] | None:
         """Return the objects of the drive's tracklets; None where it has no such file."""
         if ref.scene not in self._tracklets:
             file = Path(ref.file).parents[2] / FILE
@@ -139,7 +139,7 @@ class KittiObject(_Kitti):
         for folder in parts_in(place):
             self._add_scene(folder.parent.name, folder)
 
-    def boxes(self, ref: SweepRef) -> tuple[ObjectBox, ...] | None:
+    def _boxes(self, ref: SweepRef) -> tuple[ObjectBox, ...] | None:
         """Return the labeled objects in front of the car, in the sensor's frame; None where there are no labels."""
         scene = self.root / ref.scene
         if not (scene / "label_2").is_dir():

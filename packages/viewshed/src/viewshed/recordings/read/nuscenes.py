@@ -14,7 +14,7 @@ from viewshed.geometry import Rigid
 from viewshed.io import FILE_FRAMES, read_sweep
 from viewshed.io._input import inside, one_line
 from viewshed.recordings.read._nuscenes_tables import NuscenesTables, floats_of, rows_of_table
-from viewshed.recordings.read.source import ObjectBox, SweepReader, SweepRef, problems_of
+from viewshed.recordings.read.source import ObjectBox, RecordingSource, SweepRef, problems_of
 from viewshed.recordings.read.tf_tree import between
 from viewshed.sweep import Sweep
 
@@ -83,7 +83,7 @@ class Annotations:
             return ObjectBox(pose, size_m, self.categories[instance], instance)
 
 
-class Nuscenes(SweepReader):
+class Nuscenes(RecordingSource):
     """One version of nuScenes, in the folder of its tables or the one above, where ``samples`` and ``sweeps`` lie.
 
     The ego frame lies on the ground, so the height of the sensor is that of its calibration.
@@ -95,13 +95,13 @@ class Nuscenes(SweepReader):
             names = ", ".join(version.name for version in versions)
             found = f"got {names}; name one of these folders" if versions else "got none"
             raise ValueError(f"{place}: must hold one version of nuScenes ({_TABLE} in a folder v1.0-…), {found}")
-        [self._folder] = versions
+        self.place, [self._folder] = place, versions
         self.problems: list[str] = []
         self._tables = NuscenesTables.read(self._folder, self.problems)
         self._annotations: Annotations | None = None
-        self.scenes = self._tables.scenes
+        self.sweeps = self._tables.scenes
 
-    def read(self, ref: SweepRef) -> Sweep:
+    def _read(self, ref: SweepRef) -> Sweep:
         """Return a sweep with ring, time, pose, height and beams."""
         tokens = self._tables.tokens[ref.key]
         file = inside(self._folder.parent, ref.file)
@@ -114,12 +114,12 @@ class Nuscenes(SweepReader):
         )  # fmt: skip
         return sweep if sweep.t_ns == ref.t_ns else sweep.replace(t_ns=ref.t_ns)
 
-    def boxes(self, ref: SweepRef) -> tuple[ObjectBox, ...] | None:
+    def _boxes(self, ref: SweepRef) -> tuple[ObjectBox, ...] | None:
         """Return the annotated objects of a keyframe, or those between the keyframes before and after a sweep.
 
         None for sweeps before the first or after the last keyframe, and in the test version.
         """
-        refs = self.scenes[ref.scene]
+        refs = self.sweeps[ref.scene]
         before = next((other for other in reversed(refs[: ref.index + 1]) if other.keyframe), None)
         after = next((other for other in refs[ref.index :] if other.keyframe), None)
         if before is None or after is None:

@@ -15,7 +15,7 @@ from viewshed.io import read_sweep
 from viewshed.io._input import inside
 from viewshed.recordings.read._yaml import load_pyyaml, read_yaml
 from viewshed.recordings.read.carla import box_of_carla, lidar_described, mirrored, rigid_of_carla
-from viewshed.recordings.read.source import ObjectBox, SweepReader, SweepRef, note_damage, numbers_in, read_optional
+from viewshed.recordings.read.source import ObjectBox, RecordingSource, SweepRef, note_damage, numbers_in, read_optional
 from viewshed.sensors import LidarModel
 from viewshed.sweep import Sweep
 
@@ -39,16 +39,17 @@ class _Scenario:
     roadside_lidar: LidarModel | None
 
 
-class Opv2v(SweepReader):
+class Opv2v(RecordingSource):
     """Scenarios with their agents; a scene is a scenario, agents have the names of their folders."""
 
     def __init__(self, place: Path) -> None:
         load_pyyaml()
+        self.place = place
         self.problems: list[str] = []
         self._scenarios = {name: _open_scenario(place, folder, self.problems) for name, folder in scenarios_in(place)}
-        self.scenes = {name: _refs_of(name, scenario) for name, scenario in self._scenarios.items()}
+        self.sweeps = {name: _refs_of(name, scenario) for name, scenario in self._scenarios.items()}
 
-    def read(self, ref: SweepRef) -> Sweep:
+    def _read(self, ref: SweepRef) -> Sweep:
         """Return a sweep in the sensor's frame, with its pose; without one where its YAML file is not there."""
         scenario = self._scenarios[ref.scene]
         about = _about(scenario.root, ref)
@@ -59,7 +60,7 @@ class Opv2v(SweepReader):
             sensor_height_m=None if about is None or pose is None else _height_m(about, pose, ref),
         )  # fmt: skip
 
-    def boxes(self, ref: SweepRef) -> tuple[ObjectBox, ...] | None:
+    def _boxes(self, ref: SweepRef) -> tuple[ObjectBox, ...] | None:
         """Return the vehicles that the agent's own YAML file names, in the world; None where there is no such file."""
         about = _about(self._scenarios[ref.scene].root, ref)
         if about is None:

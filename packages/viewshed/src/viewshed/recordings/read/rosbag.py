@@ -25,7 +25,7 @@ from viewshed.io.messages.packets import UNREAD, sweep_of_ouster, sweep_of_velod
 from viewshed.io.messages.pointcloud2 import sweep_of_cloud
 from viewshed.io.ouster_packets import OusterDecoder, OusterMetadata
 from viewshed.recordings.read.bag_files import BagFile, Message, bags_in, open_bag
-from viewshed.recordings.read.source import SweepReader, SweepRef, note_damage
+from viewshed.recordings.read.source import RecordingSource, SweepRef, note_damage
 from viewshed.recordings.read.tf_tree import WORLDS, TransformBuffer, nearest
 from viewshed.sweep import Sweep
 
@@ -425,22 +425,22 @@ def _cached_decoder(metadata: str) -> OusterDecoder:
     return OusterDecoder(OusterMetadata.parse(metadata))
 
 
-class BagRecording(SweepReader):
+class BagRecording(RecordingSource):
     """One bag or several, from :meth:`open`; each is a scene, each topic with sweeps an agent.
 
     One pass over a bag lists its clouds and takes its transforms; the clouds themselves are read when they are needed.
     """
 
-    def __init__(self, bags: Mapping[str, Bag], problems: Sequence[str]) -> None:
-        self._bags = bags
+    def __init__(self, place: Path, bags: Mapping[str, Bag], problems: Sequence[str]) -> None:
+        self.place, self._bags = place, bags
         self.problems = problems
-        self.scenes = {name: bag.refs for name, bag in bags.items()}
-        self.notes = tuple(dict.fromkeys(f"{bag.path}: {line}" for bag in bags.values() for line in bag.notes))
+        self.sweeps = {name: bag.refs for name, bag in bags.items()}
+        self.remarks = tuple(dict.fromkeys(f"{bag.path}: {line}" for bag in bags.values() for line in bag.notes))
         self._open: dict[str, BagFile] = {}
         self._process = os.getpid()
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return BagRecording, (self._bags, self.problems)
+        return BagRecording, (self.place, self._bags, self.problems)
 
     @classmethod
     def open(cls, place: Path, topic: str | None = None) -> BagRecording:
@@ -458,9 +458,9 @@ class BagRecording(SweepReader):
                 bags[scene] = bag
         if not bags:
             raise ValueError("; ".join(damage))
-        return cls(bags, tuple(damage))
+        return cls(place, bags, tuple(damage))
 
-    def read(self, ref: SweepRef) -> Sweep:
+    def _read(self, ref: SweepRef) -> Sweep:
         """Return a sweep in the frame of its header, with its pose where transforms lead to it."""
         bag = self._bags[ref.scene]
         try:
