@@ -288,7 +288,6 @@ class _Agent:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Scene:
-    root: Path
     axes: str
     agents: Mapping[str, _Agent]
     actors: Actors | None
@@ -308,7 +307,7 @@ class CarlaRecording(RecordingSource):
         scene = self._scenes[ref.scene]
         agent = scene.agents[ref.agent]
         file_frame = "carla" if scene.axes == "carla_0.9.9" else None
-        sweep = read_sweep(inside(scene.root, ref.file), file_frame=file_frame)
+        sweep = read_sweep(inside(self.place, ref.file), file_frame=file_frame)
         sweep = mirrored(sweep) if scene.axes == "carla" else sweep
         pose = agent.poses.get(int(ref.key))
         fits = agent.model is not None and (sweep.ring is None or sweep.ring.max(initial=0) < agent.model.rings)
@@ -374,7 +373,7 @@ def _open_scene(root: Path, folder: Path, damage: list[str]) -> _Scene:
     }
     if not agents:
         note_damage(damage, f"{folder}: no agent has a sweep ({', '.join(_SWEEPS)})")
-    return _Scene(root, str(axes), agents, read_actors(root, folder / "actors.jsonl", damage))
+    return _Scene(str(axes), agents, read_actors(root, folder / "actors.jsonl", damage))
 
 
 def _open_agent(root: Path, folder: Path, sensor: Any, damage: list[str]) -> _Agent:

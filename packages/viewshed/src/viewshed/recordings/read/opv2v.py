@@ -30,9 +30,8 @@ _LIDAR = ("channels", "upper_fov", "lower_fov", "range", "points_per_second", "r
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Scenario:
-    """One scenario: its recording, agent → frame → file of points, the step of its frame numbers, and its sensors."""
+    """One scenario: agent → frame → file of points, the step of its frame numbers, and its sensors."""
 
-    root: Path
     agents: Mapping[str, Mapping[int, Path]]
     step_s: float
     vehicle_lidar: LidarModel | None
@@ -52,17 +51,17 @@ class Opv2v(RecordingSource):
     def _read(self, ref: SweepRef) -> Sweep:
         """Return a sweep in the sensor's frame, with its pose; without one where its YAML file is not there."""
         scenario = self._scenarios[ref.scene]
-        about = _about(scenario.root, ref)
+        about = _about(self.place, ref)
         pose = None if about is None else _pose(about, ref)
         model = scenario.roadside_lidar if _is_roadside(ref.agent) else scenario.vehicle_lidar
-        return mirrored(read_sweep(inside(scenario.root, ref.file))).replace(
+        return mirrored(read_sweep(inside(self.place, ref.file))).replace(
             agent=ref.agent, t_ns=ref.t_ns, world_from_sensor=pose, model=model,
             sensor_height_m=None if about is None or pose is None else _height_m(about, pose, ref),
         )  # fmt: skip
 
     def _boxes(self, ref: SweepRef) -> tuple[ObjectBox, ...] | None:
         """Return the vehicles that the agent's own YAML file names, in the world; None where there is no such file."""
-        about = _about(self._scenarios[ref.scene].root, ref)
+        about = _about(self.place, ref)
         if about is None:
             return None
         vehicles = about.get("vehicles") or {}
@@ -132,7 +131,7 @@ def _open_scenario(root: Path, folder: Path, damage: list[str]) -> _Scenario:
     vehicle, roadside = (_lidar(protocol, part, folder, damage) for part in ("vehicle_base", "rsu_base"))
     step_s = _at(protocol, ("world", "fixed_delta_seconds"))
     usable = isinstance(step_s, float) and 0 < step_s < 10
-    return _Scenario(root, agents, step_s if usable else STEP_S, vehicle, roadside)
+    return _Scenario(agents, step_s if usable else STEP_S, vehicle, roadside)
 
 
 def _note_frames(damage: list[str], folder: Path, frames: Iterable[int], problem: str) -> None:
