@@ -14,7 +14,15 @@ from hypothesis import strategies as st
 from tests.agents import message_samples as samples
 
 from viewshed import BevGrid
-from viewshed.agents.receiver import MAX_LINKS, SEQUENCES_KEPT, Reason, Receipt, Receiver, ReceiverLimits
+from viewshed.agents.receiver import (
+    MAX_LINKS,
+    SEQUENCES_KEPT,
+    Reason,
+    Receipt,
+    Receiver,
+    ReceiverLimits,
+    write_state,
+)
 from viewshed.agents.signing import (
     KeyRing,
     SigningKey,
@@ -25,7 +33,6 @@ from viewshed.agents.signing import (
     sign,
     sign_message,
 )
-from viewshed.agents.streams import write_state
 from viewshed.agents.view_message import MAX_BYTES, encode_message
 
 NOW_NS = samples.NOW_NS

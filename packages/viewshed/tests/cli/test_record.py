@@ -18,11 +18,10 @@ from tests.cli.commands import run
 
 from viewshed import open_recording, read_sweep, write_sweep
 from viewshed.cli._outputs import Failures, Named
-from viewshed.cli._profile import PipelineSettings
+from viewshed.cli._profile import at_rate
 from viewshed.cli._record import Awaited, Listener
 from viewshed.io.samples import junction_path
 from viewshed.pipeline import Answer, ReactionState
-from viewshed.pipeline.reactions import RULES
 from viewshed.recordings.write.bag_writers import Schema, open_bag_writer
 from viewshed.recordings.write.ros_topics import CLOUD, RosMessages
 
@@ -170,9 +169,7 @@ def test_a_profile_leaves_out_sweeps_beyond_its_rate() -> None:
     sweep = read_sweep(junction_path())
     times_ms = [0, 50, 95, 190, 200, 5]  # the last one is of a recording that begins again
     named = [Named(sweep.replace(t_ns=t * 1_000_000), f"{t}", Path(f"{t}")) for t in times_ms]
-    kept = PipelineSettings(None, "road", 0, False, RULES, rate_hz=10.0, certify=None, certified_only=False).at_rate(
-        named
-    )
+    kept = at_rate(named, 10.0)
     assert [each.name for each in kept] == ["0", "95", "190", "5"]
 
 

@@ -1,11 +1,10 @@
-"""Matching and overlap against cases by hand and slow loops."""
+"""Matching against cases by hand."""
 
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from viewshed.objects.matching import match_boxes, overlaps
+from viewshed.objects.matching import match_boxes
 
 
 def boxes_at(*middles: tuple[float, float]) -> np.ndarray:
@@ -27,11 +26,3 @@ def test_no_true_box_is_matched_twice_and_none_too_far(seed: int) -> None:
     taken = match[match >= 0]
     assert len(set(taken.tolist())) == len(taken)
     assert (np.hypot(*(found[match >= 0, :2] - true[taken, :2]).T) <= 2.0).all()
-
-
-def test_overlaps_by_hand() -> None:
-    one = boxes_at((0.0, 0.0), (0.0, 0.0), (0.0, 0.0))
-    other = boxes_at((2.0, 0.0), (0.0, 0.0), (9.0, 9.0))
-    other[1, 6] = np.pi / 2  # a cross: 2 × 2 of 12
-    assert overlaps(one, other) == pytest.approx([4 / 12, 4 / 12, 0.0])
-    assert overlaps(one[:0], other[:0]).tolist() == []

@@ -84,10 +84,13 @@ def encode_fov(estimate: FovEstimate) -> bytes:
     below = np.minimum(prob * (8 / threshold), 7)
     above = 8 + np.minimum((prob - threshold) * np.float32(8 / max(1.0 - estimate.threshold, 1e-6)), 7)
     level = np.where(prob >= threshold, above, below).astype(np.uint8)
-    deviation = _std_levels(estimate.std)
+    std, deviation = estimate.std, _NO_PLANE
+    if std is not None and has_std(estimate):
+        levels = np.minimum(np.nan_to_num(std, nan=0.0) * (2 * STD_LEVELS), STD_LEVELS - 1).astype(np.uint8)
+        deviation = np.where(np.isnan(std), np.uint8(_NO_STD), levels)
     nothing = np.full_like(deviation, _NO_STD)
-    for levels, deviations in ((level, deviation), (_COARSE[level], deviation), (_COARSE[level], nothing)):
-        code = _core.encode_view(estimate.state, levels, deviations, *sensor_cell(grid))
+    for each, deviations in ((level, deviation), (_COARSE[level], deviation), (_COARSE[level], nothing)):
+        code = _core.encode_view(estimate.state, each, deviations, *sensor_cell(grid))
         if 0 < len(code) <= max_code_bytes(grid):
             return code
     raise ValueError("the states of a view must be regular enough for two bits a cell; got what looks like noise")
@@ -96,13 +99,6 @@ def encode_fov(estimate: FovEstimate) -> bytes:
 def has_std(estimate: FovEstimate) -> bool:
     """Return whether any cell of an estimate has a deviation: :func:`decode_fov` must be given this."""
     return estimate.std is not None and not bool(np.isnan(estimate.std).all())
-
-
-def _std_levels(std: NDArray[np.float32] | None) -> NDArray[np.uint8]:
-    if std is None or np.isnan(std).all():
-        return _NO_PLANE
-    levels = np.minimum(np.nan_to_num(std, nan=0.0) * (2 * STD_LEVELS), STD_LEVELS - 1).astype(np.uint8)
-    return np.where(np.isnan(std), np.uint8(_NO_STD), levels)
 
 
 def decode_fov(code: bytes, grid: BevGrid, threshold: float, with_std: bool) -> ViewCells:

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import json
 from collections import deque
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -121,19 +120,12 @@ def _zenoh_config(
         "scouting/multicast/enabled": multicast,
     }
     if tls is not None:
-        settings["transport/link/tls"] = _tls_settings(tls)
+        settings["transport/link/tls"] = {
+            "root_ca_certificate": str(tls.authority), "enable_mtls": True,
+            **dict.fromkeys(("listen_certificate", "connect_certificate"), str(tls.certificate)),
+            **dict.fromkeys(("listen_private_key", "connect_private_key"), str(tls.key)),
+        }  # fmt: skip
     config = zenoh.Config()
     for key, value in settings.items():
         config.insert_json5(key, json.dumps(value))
     return config
-
-
-def _tls_settings(tls: Tls) -> Mapping[str, Any]:
-    return {
-        "root_ca_certificate": str(tls.authority),
-        "listen_certificate": str(tls.certificate),
-        "listen_private_key": str(tls.key),
-        "connect_certificate": str(tls.certificate),
-        "connect_private_key": str(tls.key),
-        "enable_mtls": True,
-    }

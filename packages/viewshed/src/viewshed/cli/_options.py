@@ -131,10 +131,10 @@ class Reading:
         from viewshed.sensors import lidar_model
 
         model = None if self.sensor in {AUTO, NO_SENSOR} else lidar_model(self.sensor)
-        origin_m = parse_numbers("origin", self.origin, 3)
-        for sweep in self._read(path) if entry is None else self._indexed(entry):
+        origin_m, is_moved = parse_numbers("origin", self.origin, 3), entry is None and self._is_moved(path)
+        for sweep in self._read(path, is_moved) if entry is None else self._indexed(entry):
             if origin_m is not None:
-                sweep = self._seen_from(origin_m, sweep, self._is_moved(path, entry))  # noqa: PLW2901
+                sweep = self._seen_from(origin_m, sweep, is_moved)  # noqa: PLW2901
             changes: dict[str, Any] = {} if self.ring == "file" else {"ring": None}
             if self.sensor != AUTO:
                 changes |= {"model": model, "infer_sensor": False}
@@ -142,10 +142,10 @@ class Reading:
                 changes["vehicle_yaw"] = math.radians(self.vehicle_yaw_deg)
             yield sweep.replace(**changes) if changes else sweep
 
-    def _is_moved(self, path: Path, entry: IndexEntry | None = None) -> bool:
+    def _is_moved(self, path: Path) -> bool:
         """Return whether the reader itself moves points to a far origin: in float64, before they are rounded."""
         origin_m = parse_numbers("origin", self.origin, 3)
-        if origin_m is None or entry is not None or self.file_frame is not None:
+        if origin_m is None or self.file_frame is not None:
             return False
         return max(map(abs, origin_m)) > _FAR_M and path.name.lower().removesuffix(".gz").endswith(_IN_FLOAT64)
 
@@ -168,7 +168,7 @@ class Reading:
             )
         return sweep.seen_from(origin_m)
 
-    def _read(self, path: Path) -> Iterator[Sweep]:
+    def _read(self, path: Path, is_moved: bool) -> Iterator[Sweep]:
         import numpy as np
 
         from viewshed.geometry import Rigid
@@ -180,7 +180,7 @@ class Reading:
         if self.topic is not None:
             raise ValueError(f"--topic goes with a bag, got {path}; leave it out")
         file_frame: str | Rigid | None = self.file_frame
-        if self._is_moved(path):
+        if is_moved:
             file_frame = Rigid(np.eye(3), -np.array(parse_numbers("origin", self.origin, 3)))
         return read_sweeps(
             path, format=self.format, file_frame=file_frame,

@@ -191,9 +191,9 @@ class Run:
 
     def summaries(self, sweeps: Iterable[Named], failures: Failures, batch: int = 1) -> Iterator[Summary]:
         """Yield the summary of each sweep, one by one and timed, or ``batch`` of them together."""
-        return self._one_by_one(sweeps, failures) if batch == 1 else self._in_batches(sweeps, failures, batch)
-
-    def _one_by_one(self, sweeps: Iterable[Named], failures: Failures) -> Iterator[Summary]:
+        if batch > 1:
+            yield from self._in_batches(sweeps, failures, batch)
+            return
         for named in sweeps:
             try:
                 yield self.one(named.sweep, named.name)
@@ -302,7 +302,7 @@ class Run:
             if kind == "png":
                 write_atomic(place, estimate.plot(leveled, f"{name}\n{summary_line(estimate, elapsed_ms)}", self.dark))
             else:
-                write_export(estimate, kind, place, crs=None if EXPORTERS[kind].in_crs is None else self.crs)
+                write_export(estimate, kind, place, crs=self.crs if EXPORTERS[kind].has_crs else None)
         return summary
 
 
@@ -370,28 +370,12 @@ class Summary:
         return json.dumps(known, ensure_ascii=False)
 
 
-@dataclass(slots=True)
-class Total:
-    """What many sweeps come to."""
-
-    areas_m2: list[float] = field(default_factory=list)
-    times_ms: list[float] = field(default_factory=list)
-
-    def add(self, summary: Summary) -> None:
-        """Count one more sweep."""
-        self.areas_m2.append(summary.estimate.area_m2())
-        if summary.elapsed_ms is not None:
-            self.times_ms.append(summary.elapsed_ms)
-
-    @property
-    def line(self) -> str:
-        """Mean, least and greatest visible area, and the median of the times."""
-        areas_m2, times_ms = self.areas_m2, sorted(self.times_ms)
-        elapsed = f"; {times_ms[len(times_ms) // 2]:.0f} ms each" if times_ms else ""
-        mean_m2 = sum(areas_m2) / len(areas_m2)
-        return (
-            f"{len(areas_m2)} sweeps: {mean_m2:.0f} m² on average, {min(areas_m2):.0f} to {max(areas_m2):.0f}{elapsed}"
-        )
+def total_line(areas_m2: Sequence[float], times_ms: Sequence[float | None]) -> str:
+    """Return mean, least and greatest visible area of many sweeps, and the median of the times that are known."""
+    known_ms = sorted(time_ms for time_ms in times_ms if time_ms is not None)
+    elapsed = f"; {known_ms[len(known_ms) // 2]:.0f} ms each" if known_ms else ""
+    mean_m2 = sum(areas_m2) / len(areas_m2)
+    return f"{len(areas_m2)} sweeps: {mean_m2:.0f} m² on average, {min(areas_m2):.0f} to {max(areas_m2):.0f}{elapsed}"
 
 
 _MUCH_UNSURE = 0.2

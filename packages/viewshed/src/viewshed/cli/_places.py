@@ -58,13 +58,14 @@ def files_in(place: Path) -> list[Path]:
 
 def _files_of_folder(folder: Path) -> list[Path]:
     """Return the sweeps and bags in a folder, or the folder where it is a recording."""
-    from viewshed.io.formats import BAG_SUFFIXES
+    from viewshed.io.formats import BAG_SUFFIXES, all_formats
     from viewshed.recordings.read import SOURCES
     from viewshed.recordings.recording import is_data_set
 
     if is_data_set(folder):
         return [folder]
-    endings = _sweep_endings()
+    plain = tuple(dict.fromkeys(suffix for known in all_formats().values() for suffix in known.suffixes))
+    endings = tuple(suffix + packed for suffix in plain for packed in ("", ".gz"))
     held = sorted(folder.iterdir(), key=_by_numbers)
     sweeps = [file for file in held if file.name.lower().endswith(endings) and file.is_file()]
     fits = next((name for name, known in SOURCES.items() if known.fits(folder)), None)
@@ -79,7 +80,7 @@ def _files_of_folder(folder: Path) -> list[Path]:
     inner = next(
         (each for each in islice(_folders_in(folder), _FOLDERS_SEARCHED) if _holds_sweeps(each, endings)), None
     )
-    hint = f"; {inner} has some" if inner is not None else f"; sweeps end in {', '.join(_plain_endings())}"
+    hint = f"; {inner} has some" if inner is not None else f"; sweeps end in {', '.join(plain)}"
     layouts = ", ".join(SOURCES)
     raise ValueError(f"{folder} is a folder without sweeps and no recording ({layouts}){hint}")
 
@@ -96,16 +97,6 @@ def _holds_sweeps(folder: Path, endings: tuple[str, ...]) -> bool:
         return any(file.name.lower().endswith(endings) for file in folder.iterdir())
     except OSError:
         return False
-
-
-def _plain_endings() -> tuple[str, ...]:
-    from viewshed.io.formats import all_formats
-
-    return tuple(dict.fromkeys(suffix for known in all_formats().values() for suffix in known.suffixes))
-
-
-def _sweep_endings() -> tuple[str, ...]:
-    return tuple(suffix + packed for suffix in _plain_endings() for packed in ("", ".gz"))
 
 
 def _by_numbers(path: Path) -> list[tuple[int, str]]:

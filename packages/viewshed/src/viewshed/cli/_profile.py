@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, TypeVar
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -12,8 +12,7 @@ from viewshed.cli import _options as options
 
 if TYPE_CHECKING:
     from viewshed.cli._outputs import Named
-    from viewshed.guarantees.envelope import Threat
-    from viewshed.pipeline.reactions import ReactionRules
+    from viewshed.pipeline.profiles import Profile
 
 ProfileName = Annotated[
     str | None,
@@ -42,8 +41,6 @@ Method = Annotated[
     str | None, typer.Option(help="Method: shadow_map (if not given), majority_vote, first_blocker, unet, …")
 ]
 
-Value = TypeVar("Value")
-
 
 @dataclass(frozen=True, slots=True)
 class PipelineOptions:
@@ -59,70 +56,29 @@ class PipelineOptions:
     certify: CertifyOnAlarm = None
     certified_only: CertifiedOnly = False
 
-    def settings(self, ctx: typer.Context) -> PipelineSettings:
-        """Return what they come to with the profile."""
-        return settings(
-            ctx, self.profile, method=self.method, grid=self.grid, history=self.history, monitor=self.monitor,
-            certify=self.certify, certified_only=self.certified_only,
-        )  # fmt: skip
+    def settings(self, ctx: typer.Context) -> Profile:
+        """Return what they come to: of a profile where an option is not given, and the usual ones without one."""
+        from viewshed.guarantees.envelope import Threat
+        from viewshed.pipeline.profiles import Profile, profile_named
+        from viewshed.pipeline.reactions import RULES
+
+        threat = None if self.certify is None else Threat.parse(self.certify)
+        if self.profile is None:
+            return Profile(self.method, self.grid, self.history, self.monitor, RULES, 0.0, threat)
+        found, given = profile_named(self.profile), dict[str, Any]()
+        for name in ("method", "grid", "history", "monitor"):
+            source = ctx.get_parameter_source(name)
+            if source is not None and source.name != "DEFAULT":
+                given[name] = getattr(self, name)
+        return replace(found, **given, certify=threat or found.certify)
 
 
 AS_USUAL = PipelineOptions()
 
 
-@dataclass(frozen=True, slots=True)
-class PipelineSettings:
-    """What a pipeline is run with."""
+def at_rate(sweeps: Iterable[Named], rate_hz: float) -> Iterator[Named]:
+    """Return the sweeps without those that come sooner after the one before of their agent than the rate allows."""
+    from viewshed.pipeline import RateLimit
 
-    method: str | None  # name of the estimator; None for the usual one
-    grid: str  # name of the grid
-    history: int  # earlier sweeps that help
-    monitor: bool  # whether the stream is watched
-    rules: ReactionRules  # how caution rises and falls
-    rate_hz: float  # sweeps of an agent that are estimated in a second of the recording; 0 for all
-    certify: Threat | None  # the threat whose certificate an alarm falls back to; None for none
-    certified_only: bool  # whether only certified cells are claimed
-
-    def at_rate(self, sweeps: Iterable[Named]) -> Iterator[Named]:
-        """Return the sweeps without those that come sooner after the one before of their agent than the rate allows."""
-        from viewshed.pipeline import RateLimit
-
-        limit = RateLimit(self.rate_hz)
-        return (named for named in sweeps if limit.takes(named.sweep.agent, named.sweep.t_ns))
-
-
-def settings(
-    ctx: typer.Context,
-    profile: str | None,
-    *,
-    method: str | None,
-    grid: str,
-    history: int,
-    monitor: bool,
-    certify: str | None,
-    certified_only: bool = False,
-) -> PipelineSettings:
-    """Return the settings of a profile, of those options that are given, and the usual ones where there is neither."""
-    from viewshed.guarantees.envelope import Threat
-    from viewshed.pipeline.profiles import profile_named
-    from viewshed.pipeline.reactions import RULES
-
-    threat = None if certify is None else Threat.parse(certify)
-    if profile is None:
-        return PipelineSettings(method, grid, history, monitor, RULES, 0.0, threat, certified_only)
-    found = profile_named(profile)
-
-    def chosen(name: str, given: Value, otherwise: Value) -> Value:
-        source = ctx.get_parameter_source(name)
-        return otherwise if source is None or source.name == "DEFAULT" else given
-
-    return PipelineSettings(
-        chosen("method", method, found.method),
-        chosen("grid", grid, found.grid),
-        chosen("history", history, found.history),
-        chosen("monitor", monitor, found.monitor),
-        found.rules,
-        found.rate_hz,
-        threat or found.certify,
-        certified_only,
-    )
+    limit = RateLimit(rate_hz)
+    return (named for named in sweeps if limit.takes(named.sweep.agent, named.sweep.t_ns))

@@ -13,17 +13,21 @@ import typer
 
 from viewshed.cli._options import NOT_FOLLOWED, Following, NetworkOptions, parse_grid
 from viewshed.cli._outputs import Failures, Named, refuse_inputs
-from viewshed.cli._profile import PipelineOptions, PipelineSettings
+from viewshed.cli._profile import PipelineOptions
 from viewshed.cli._stream import history_buffer
 from viewshed.cli._terminal import note
 from viewshed.cli._verdicts import stream_verdicts, watching
 
 if TYPE_CHECKING:
     from viewshed.agents.rounds import Round
+    from viewshed.estimators import Estimator
+    from viewshed.estimators.temporal import SweepBuffer
     from viewshed.fov.estimate import FovEstimate
+    from viewshed.monitor import StreamMonitor
     from viewshed.objects.object_stream import SeenObjects
     from viewshed.pipeline import Answer, Pipeline
     from viewshed.pipeline.adversary import Adversary
+    from viewshed.pipeline.profiles import Profile
     from viewshed.recordings.write.moment import DriveTruth, Moment, RisingTimes
     from viewshed.recordings.write.track_metrics import TrackMetrics
     from viewshed.sweep import Sweep
@@ -191,7 +195,7 @@ def objects_line(objects: SeenObjects) -> str:
 
 def run_recorded(
     running: PipelineOptions,
-    chosen: PipelineSettings,
+    chosen: Profile,
     sweeps: Iterable[Awaited],
     following: Following,
     failures: Failures,
@@ -205,19 +209,13 @@ def run_recorded(
 
     Live, a sweep that comes too late is dropped; else each is answered, and equal sweeps give equal bytes.
     """
-    from viewshed.pipeline import Pipeline
-
     estimator = NetworkOptions().estimator(chosen.method, parse_grid(chosen.grid), running.target)
     buffer, watch = history_buffer(estimator, chosen.history), watching(chosen.monitor, running.monitor_file)
     with recorders(to, schemas, inputs) as records:
-        adversary = following.adversary()
-        listener = Listener(records, failures, is_live=is_live, following=following, adversary=adversary)
-        pipeline = Pipeline(
-            estimator, listener, history=buffer, monitor=watch, objects=following.object_stream(adversary),
-            rules=chosen.rules, certify=chosen.certify, certified_only=chosen.certified_only,
-            lossless=not is_live, stale_after_s=math.inf,
+        count = answer(
+            records, sweeps, estimator, buffer, watch, chosen, following, failures, is_live=is_live,
+            certified_only=running.certified_only,
         )  # fmt: skip
-        count = run(pipeline, listener, sweeps, adversary)
         if to is not None and not count:
             raise ValueError(f"no sweep could be read, {to} was not written")
     if to is not None:
@@ -250,6 +248,32 @@ def repeated(read: Callable[[], Iterable[Named]], *, loop: bool) -> Iterator[Nam
         for named in read():
             is_any = loop
             yield named
+
+
+def answer(
+    records: Sequence[Record],
+    sweeps: Iterable[Awaited],
+    estimator: Estimator,
+    history: SweepBuffer | None,
+    watch: StreamMonitor | None,
+    chosen: Profile,
+    following: Following,
+    failures: Failures,
+    *,
+    is_live: bool,
+    certified_only: bool = False,
+) -> int:
+    """Answer sweeps, hand the answers to what records, and return how many sweeps there were; see :func:`run`."""
+    from viewshed.pipeline import Pipeline
+
+    adversary = following.adversary()
+    listener = Listener(records, failures, is_live=is_live, following=following, adversary=adversary)
+    pipeline = Pipeline(
+        estimator, listener, history=history, monitor=watch, objects=following.object_stream(adversary),
+        rules=chosen.rules, certify=chosen.certify, certified_only=certified_only,
+        lossless=not is_live, stale_after_s=math.inf,
+    )  # fmt: skip
+    return run(pipeline, listener, sweeps, adversary)
 
 
 def run(pipeline: Pipeline, listener: Listener, sweeps: Iterable[Awaited], adversary: Adversary | None = None) -> int:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from itertools import chain
+from itertools import chain, count
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from viewshed.estimators import Estimator
     from viewshed.estimators.temporal import SweepBuffer
     from viewshed.io import IndexEntry
-    from viewshed.recordings.read.pose_files import PoseFile
     from viewshed.sweep import Sweep
 
     Job = tuple[Path, IndexEntry | None]
@@ -30,13 +29,10 @@ def named_sweeps(
     Where earlier sweeps are wanted as a ``history``, one without a pose or a time is reported as well.
     """
     taken = {name.casefold() for name in names}
-    poses = poses_of(reading, jobs)
-    count = 0
-    for job, name in zip(with_bar(jobs, len(jobs)), names, strict=True):
-        file = job[0]
+    files = with_bar(placed_sweeps(reading, jobs), len(jobs))
+    for (file, sweeps), name in zip(files, names, strict=True):
         try:
-            for sweep, own in _named(placed_sweeps(reading, jobs, job, poses, count), name, taken):
-                count += 1
+            for sweep, own in _named(sweeps, name, taken):
                 if history and (sweep.world_from_sensor is None or sweep.t_ns is None):
                     failures.report(file, ValueError(_NO_HISTORY))
                 else:
@@ -51,55 +47,37 @@ _NO_HISTORY = (
 )
 
 
-def poses_of(reading: Reading, jobs: list[Job]) -> PoseFile | None:
-    """Return the poses that an option names, and say what was assumed of them."""
-    if reading.poses is None:
-        return None
-    from viewshed.recordings.read.pose_files import PoseFile
+def placed_sweeps(reading: Reading, jobs: list[Job]) -> Iterator[tuple[Path, Iterator[Sweep]]]:
+    """Yield each file with its sweeps, which have the poses that an option names; say what was assumed of these."""
+    files, poses, numbers = [file for file, _ in jobs], None, count()
+    if reading.poses is not None:
+        from viewshed.recordings.read.pose_files import PoseFile
 
-    poses = PoseFile.read(reading.poses)
-    poses.check([file for file, _ in jobs])
-    for line in poses.notes:
-        note(f"{reading.poses}: {line}")
-    return poses
+        poses = PoseFile.read(reading.poses)
+        poses.check(files)
+        for line in poses.notes:
+            note(f"{reading.poses}: {line}")
 
+    def placed(file: Path, entry: IndexEntry | None) -> Iterator[Sweep]:
+        for sweep in reading.sweeps(file, entry):
+            number = next(numbers)
+            yield sweep if poses is None else poses.place_sweep(sweep, file, number, files)
 
-def placed_sweeps(
-    reading: Reading, jobs: list[Job], job: Job, poses: PoseFile | None = None, before: int = 0
-) -> Iterator[Sweep]:
-    """Yield the sweeps of one of the jobs with their poses.
-
-    Args:
-        reading: how files are read.
-        jobs: all that is read.
-        job: which of it.
-        poses: as read from the file of ``reading``; None where it names none.
-        before: how many sweeps the jobs before it gave.
-    """
-    files = [file for file, _ in jobs]
-    for number, sweep in enumerate(reading.sweeps(*job), start=before):
-        yield sweep if poses is None else poses.place_sweep(sweep, job[0], number, files)
-
-
-def all_sweeps(reading: Reading, jobs: list[Job]) -> Iterator[Sweep]:
-    """Yield every sweep with its pose; the first one that cannot be read is an error."""
-    poses, count = poses_of(reading, jobs), 0
     for job in jobs:
-        for sweep in placed_sweeps(reading, jobs, job, poses, count):
-            count += 1
-            yield sweep
+        yield job[0], placed(*job)
 
 
 def one_sweep(reading: Reading, file: Path, index: Path | None = None, number: int = 0) -> Sweep:
     """Return one sweep of a file, folder or recording, with what an index and poses say of it."""
-    count = 0
-    for sweep in all_sweeps(reading, list(chosen_files([file], index))):
-        if count > number:
+    seen = 0
+    jobs = list(chosen_files([file], index))
+    for sweep in (sweep for _, sweeps in placed_sweeps(reading, jobs) for sweep in sweeps):
+        if seen > number:
             note(f"{file} holds more sweeps; taken is number {number} from 0; --number takes another")
             break
-        taken, count = sweep, count + 1
-    if count <= number:
-        raise ValueError(f"number must be below {count}, the sweeps of {file}, got {number}")
+        taken, seen = sweep, seen + 1
+    if seen <= number:
+        raise ValueError(f"number must be below {seen}, the sweeps of {file}, got {number}")
     return taken
 
 

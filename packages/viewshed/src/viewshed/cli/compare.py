@@ -43,11 +43,15 @@ def compare(
     Example: viewshed compare sweep.bin --methods shadow_map,quantized,concave_hull
     """
     from viewshed._files import write_atomic
+    from viewshed.estimators import CLASSICAL, current_name, paper_estimators_on
+    from viewshed.fov.estimate import UNSURE_M
     from viewshed.preprocess.leveling import level
     from viewshed.show.plot import Panel, comparison
 
     cells = options.parse_grid(grid)
-    names = _all_names(parameters, cells) if methods == "all" else _current_names(methods)
+    names = [current_name(name) for name in methods.split(",")]
+    if methods == "all":
+        names = list(paper_estimators_on(cells) if parameters == "paper" else CLASSICAL)
     estimators = _estimators(names, cells, target, parameters, NetworkOptions(weights, passes, seed, device=device))
     place = place_of_result(out, "compare.png")
     refuse_inputs([place], [file])
@@ -58,7 +62,10 @@ def compare(
     first = results[names[0]][0]
     rows = [_row(name, estimate, elapsed_ms, first) for name, (estimate, elapsed_ms) in results.items()]
     panels = [Panel(estimate, name, leveled) for name, (estimate, _) in results.items()]
-    header = _header()
+    header = [
+        "method", "visible m²", "hidden", "unknown", f"ground unsure by {UNSURE_M:g} m", "by inferred beams",
+        "IoU with the first", "time ms, leveled",
+    ]  # fmt: skip
     write_atomic(place, comparison(panels, rows, header))
     typer.echo(_table(header, rows))
     if first.basis is not None:
@@ -70,18 +77,6 @@ def _table(header: list[str], rows: list[list[str]]) -> str:
     """Return a Markdown table."""
     line = "|---" * len(header) + "|"
     return "\n".join([f"| {' | '.join(header)} |", line, *(f"| {' | '.join(cells)} |" for cells in rows)])
-
-
-def _all_names(parameters: str, grid: BevGrid) -> list[str]:
-    from viewshed.estimators import CLASSICAL, paper_estimators_on
-
-    return list(paper_estimators_on(grid) if parameters == "paper" else CLASSICAL)
-
-
-def _current_names(methods: str) -> list[str]:
-    from viewshed.estimators import current_name
-
-    return [current_name(name) for name in methods.split(",")]
 
 
 def _estimators(
@@ -104,16 +99,6 @@ def _timed(estimator: Estimator, leveled: LeveledSweep) -> tuple[FovEstimate, fl
     estimator.estimate(leveled)
     start = time.perf_counter()
     return estimator.estimate(leveled), 1e3 * (time.perf_counter() - start)
-
-
-def _header() -> list[str]:
-    from viewshed.fov.estimate import UNSURE_M
-
-    unsure = f"ground unsure by {UNSURE_M:g} m"
-    return [
-        "method", "visible m²", "hidden", "unknown", unsure, "by inferred beams", "IoU with the first",
-        "time ms, leveled",
-    ]  # fmt: skip
 
 
 def _row(name: str, estimate: FovEstimate, elapsed_ms: float, first: FovEstimate) -> list[str]:

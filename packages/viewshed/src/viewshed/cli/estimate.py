@@ -26,11 +26,11 @@ from viewshed.cli._options import (
 from viewshed.cli._outputs import (
     Failures,
     Run,
-    Total,
     make_folder,
     output_names,
     parse_results,
     refuse_inputs,
+    total_line,
 )
 from viewshed.cli._places import chosen_files
 from viewshed.cli._profile import Method
@@ -142,14 +142,14 @@ def estimate(
     written = [one_name] if together else names
     refuse_inputs((place for name in written for place in run.places(name)), (file for file, _ in jobs))
     make_folder(out)
-    failures = Failures()
-    total = Total()
+    failures, areas_m2, times_ms = Failures(), list[float](), list[float | None]()
     sweeps = named_sweeps(reading, jobs, names, failures, history=history)
     for summary in run.together(sweeps, one_name) if together else run.summaries(sweeps, failures, batch):
-        total.add(summary)
+        areas_m2.append(summary.estimate.area_m2())
+        times_ms.append(summary.elapsed_ms)
         if not quiet:
             typer.echo(summary.json if json else summary.line)
-    if len(total.areas_m2) > 1 and not quiet and not json:
-        typer.echo(total.line)
+    if len(areas_m2) > 1 and not quiet and not json:
+        typer.echo(total_line(areas_m2, times_ms))
     if failures.count:
         raise typer.Exit(2)

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
@@ -15,7 +16,7 @@ from viewshed.cli import _options as options
 from viewshed.cli._options import AUTO, MonitorFile, Passes, Reading, Seed, Weights
 from viewshed.cli._outputs import Failures, free_name, make_folder, refuse_inputs, stem_of, with_bar
 from viewshed.cli._places import chosen_files, place_of_result
-from viewshed.cli._stream import placed_sweeps, poses_of
+from viewshed.cli._stream import placed_sweeps
 from viewshed.cli._terminal import BAD_INPUTS
 from viewshed.cli._verdicts import stream_monitor, stream_verdicts, verdicts
 
@@ -23,7 +24,6 @@ if TYPE_CHECKING:
     from viewshed.arrays import F32
     from viewshed.estimators import Estimator
     from viewshed.estimators.unet import UnetEstimator
-    from viewshed.fov.estimate import FovEstimate
     from viewshed.grid import BevGrid
     from viewshed.monitor import DeviationMonitor, IntegrityReport, StreamMonitor
     from viewshed.monitor.stream_monitor import StreamReport
@@ -183,7 +183,7 @@ def explain(
 
     picture = place_of_result(out, "explained.png")
     refuse_inputs((picture,), [Path(source)])
-    run = SweepRun(stream_monitor(monitor_file), options.parse_grid(grid))
+    run = SweepRun(None, stream_monitor(monitor_file), options.parse_grid(grid))
     for place, seen in enumerate(_Source((source,), split, sensor)):
         leveled, report = run.check(seen)
         if place == number:
@@ -238,16 +238,13 @@ class _Source:
     def _read(self, place: str) -> Iterator[Seen]:
         reading = Reading(self.sensor, topic=self.topic, poses=self.poses)
         jobs = list(chosen_files([Path(place)], None))
-        poses, count = poses_of(reading, jobs), 0
-        for job in jobs:
-            path = job[0]
+        for path, sweeps in placed_sweeps(reading, jobs):
             several = path.is_dir()
             try:
-                for number, sweep in enumerate(placed_sweeps(reading, jobs, job, poses, count)):
-                    count += 1
+                for number, sweep in enumerate(sweeps):
                     name = f"{path.name} {number:05}" if several or number else path.name
                     # Files of a sweep each are one stream if their times say so.
-                    is_stream = poses is not None or (not several and sweep.t_ns is not None)
+                    is_stream = self.poses is not None or (not several and sweep.t_ns is not None)
                     yield Seen(place if is_stream else str(path), name, sweep)
             except BAD_INPUTS as error:
                 if self.failures is None:
@@ -284,46 +281,61 @@ def _measured(sources: _Source, grid: BevGrid, failures: Failures) -> tuple[list
     return [np.stack(one) for one in streams if one], hz
 
 
-class _Watching(Protocol):
-    """A monitor at work, of either kind."""
-
-    failures: Failures
-
-    def one(self, seen: Seen) -> None:
-        """Say what the monitor finds in a sweep."""
-        ...
-
-    def summary(self) -> str:
-        """Return how many sweeps were checked and what was found, in a line."""
-        ...
-
-
-def _watching(file: Path | None, grid: BevGrid, weights: str | None, out: Path | None) -> _Watching:
+def _watching(file: Path | None, grid: BevGrid, weights: str | None, out: Path | None) -> _Run:
     """Return the monitor in a file at work, whichever kind it is; None is the shipped one."""
     from viewshed.monitor.calibration import kind_of_monitor
     from viewshed.monitor.deviation import NAME, load_monitor
 
     if file is not None and kind_of_monitor(file) == NAME:
         fitted = load_monitor(file)
-        return _DeviationRun(fitted, estimator_of(fitted, weights), out)
+        return _DeviationRun(out, fitted, estimator_of(fitted, weights))
     if weights is not None:
         raise ValueError("--weights goes with a monitor of viewshed monitor fit, whose network it names")
-    return SweepRun(stream_monitor(file), grid, out)
+    return SweepRun(out, stream_monitor(file), grid)
 
 
 @dataclass(slots=True)
-class SweepRun:
+class _Run(ABC):
+    """A monitor at work, of either kind."""
+
+    out: Path | None
+    checked: int = field(default=0, init=False)
+    alarms: int = field(default=0, init=False)
+    failures: Failures = field(default_factory=Failures, init=False)
+    taken: set[str] = field(default_factory=set, init=False)
+
+    def one(self, seen: Seen) -> None:
+        """Say what the monitor finds in a sweep."""
+        try:
+            line, write, count = self._look(seen)
+            if self.out is not None:
+                place = self.out / f"{free_name(stem_of(seen.name).replace('/', '_'), self.taken)}.png"
+                write(place)
+                line = f"{line} → {place}"
+            typer.echo(line)
+        except BAD_INPUTS as error:
+            self.failures.report(seen.name, error)
+        else:
+            self.checked += 1
+            count()
+
+    @abstractmethod
+    def _look(self, seen: Seen) -> tuple[str, Callable[[Path], None], Callable[[], None]]:
+        """Return what is found in a sweep in a line, what writes its picture, and what counts it."""
+
+    @abstractmethod
+    def summary(self) -> str:
+        """Return how many sweeps were checked and what was found, in a line."""
+
+
+@dataclass(slots=True)
+class SweepRun(_Run):
     """The monitor of all evidence at work."""
 
     monitor: StreamMonitor
     grid: BevGrid
-    out: Path | None = None
-    checked: int = 0
     inconsistent: int = 0
     degraded: int = 0
-    alarms: int = 0
-    failures: Failures = field(default_factory=Failures)
-    taken: set[str] = field(default_factory=set)
     scene: str = ""
     sensor: SensorId | None = None
     estimator: Estimator | None = None
@@ -341,25 +353,18 @@ class SweepRun:
         self.sensor = leveled.sensor_id
         return leveled, self.monitor.check(leveled)
 
-    def one(self, seen: Seen) -> None:
-        """Say what the monitor finds in a sweep."""
+    def _look(self, seen: Seen) -> tuple[str, Callable[[Path], None], Callable[[], None]]:
         from viewshed._files import write_atomic
 
-        try:
-            leveled, report = self.check(seen)
-            line = f"{seen.name}: {stream_verdicts(report)}"
-            if self.out is not None:
-                place = self.out / f"{free_name(stem_of(seen.name).replace('/', '_'), self.taken)}.png"
-                write_atomic(place, self.picture(leveled, report.now, line))
-                line = f"{line} → {place}"
-            typer.echo(line)
-        except BAD_INPUTS as error:
-            self.failures.report(seen.name, error)
-        else:
-            self.checked += 1
+        leveled, report = self.check(seen)
+        line = f"{seen.name}: {stream_verdicts(report)}"
+
+        def count() -> None:
             self.inconsistent += report.now.inconsistent
             self.degraded += report.now.degraded
             self.alarms += report.doubtful_sweeps == 1
+
+        return line, lambda place: write_atomic(place, self.picture(leveled, report.now, line)), count
 
     def summary(self) -> str:
         """Return how many sweeps were checked and what was found, in a line."""
@@ -379,48 +384,35 @@ class SweepRun:
 
 
 @dataclass(slots=True)
-class _DeviationRun:
+class _DeviationRun(_Run):
     """The published detector at work, with the network that it was fitted on."""
 
     monitor: DeviationMonitor
     estimator: UnetEstimator
-    out: Path | None
-    checked: int = 0
-    alarms: int = 0
-    failures: Failures = field(default_factory=Failures)
-    taken: set[str] = field(default_factory=set)
 
-    def one(self, seen: Seen) -> None:
-        """Say what the monitor finds in a sweep."""
-        _, name, sweep = seen
-        try:
-            found = self.estimator.estimate(sweep)
-            report = self.monitor.check(found)
-            line = f"{name}: {verdicts(report)}"
-            typer.echo(line if self.out is None else f"{line} → {self._drawn(name, line, found, report, sweep)}")
-        except BAD_INPUTS as error:
-            self.failures.report(name, error)
-        else:
-            self.checked += 1
-            self.alarms += report.alarm
-
-    def summary(self) -> str:
-        """Return how many sweeps were checked and how many alarmed, in a line."""
-        return f"{self.checked} sweeps, {self.alarms} alarms"
-
-    def _drawn(self, name: str, line: str, found: FovEstimate, report: IntegrityReport, sweep: Sweep) -> Path:
-        """Write picture and suspect cells of a sweep and return where the picture is."""
+    def _look(self, seen: Seen) -> tuple[str, Callable[[Path], None], Callable[[], None]]:
         from viewshed._files import write_atomic
         from viewshed.monitor.report import suspects_geojson
         from viewshed.preprocess.leveling import level
         from viewshed.show.plot import Panel, maps_picture
 
-        panel = Panel(found, line, level(sweep, self.estimator.grid), self.estimator.card.threshold)
-        stem = free_name(stem_of(name).replace("/", "_"), self.taken)
-        place = (self.out or Path()) / f"{stem}.png"
-        write_atomic(place, maps_picture(panel))
-        write_atomic(place.with_name(f"{stem}.geojson"), suspects_geojson(report))
-        return place
+        found = self.estimator.estimate(seen.sweep)
+        report = self.monitor.check(found)
+        line = f"{seen.name}: {verdicts(report)}"
+
+        def write(place: Path) -> None:
+            panel = Panel(found, line, level(seen.sweep, self.estimator.grid), self.estimator.card.threshold)
+            write_atomic(place, maps_picture(panel))
+            write_atomic(place.with_suffix(".geojson"), suspects_geojson(report))
+
+        def count() -> None:
+            self.alarms += report.alarm
+
+        return line, write, count
+
+    def summary(self) -> str:
+        """Return how many sweeps were checked and how many alarmed, in a line."""
+        return f"{self.checked} sweeps, {self.alarms} alarms"
 
 
 def estimator_of(monitor: DeviationMonitor, weights: str | None) -> UnetEstimator:

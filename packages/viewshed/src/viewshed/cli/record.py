@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, cast
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -13,7 +13,7 @@ from viewshed._extras import plugin
 from viewshed.cli._options import AS_THEY_ARE, NOT_FOLLOWED, Following, Reading
 from viewshed.cli._outputs import Failures, output_names
 from viewshed.cli._places import chosen_files
-from viewshed.cli._profile import AS_USUAL, PipelineOptions, PipelineSettings
+from viewshed.cli._profile import AS_USUAL, PipelineOptions, at_rate
 from viewshed.cli._record import Awaited, SchemaNames, run_recorded
 from viewshed.cli._stream import named_sweeps
 from viewshed.cli.replay import USUAL_PERIOD_S
@@ -61,10 +61,15 @@ def record(
     if is_simulated and reading != AS_THEY_ARE:
         raise ValueError("sim reads no file: leave out --topic, --poses and all that says how files are read")
     chosen, failures = running.settings(ctx), Failures()
+    stream: Iterator[tuple[Sweep, DriveTruth | None]]
     if is_simulated:
-        stream = _simulated(preset, seconds, hz, agents, world, seed)
+        drive = plugin("drives", "simulated", "viewshed record sim")
+        stream = drive(preset, seconds=seconds, hz=hz, agents=agents, world=world, seed=seed)
     else:
-        stream = _read(reading, files, chosen, failures, running.history)
+        jobs = list(chosen_files(files, None))
+        names = output_names([file for file, _ in jobs])
+        named = at_rate(named_sweeps(reading, jobs, names, failures, history=running.history), chosen.rate_hz)
+        stream = ((each.sweep, None) for each in named)
     inputs = [] if is_simulated else files
     run_recorded(
         running, chosen, _timed(islice(stream, sweeps)), following, failures, to=to, schemas=schemas, inputs=inputs,
@@ -79,24 +84,3 @@ def _timed(stream: Iterable[tuple[Sweep, DriveTruth | None]]) -> Iterator[Awaite
         begin_ns = sweep.t_ns or 0 if count == 0 else begin_ns
         due_s = count * USUAL_PERIOD_S if sweep.t_ns is None else (sweep.t_ns - begin_ns) / 1e9
         yield Awaited(sweep.agent, due_s, sweep, truth)
-
-
-def _read(
-    reading: Reading, files: list[Path], chosen: PipelineSettings, failures: Failures, history: int
-) -> Iterator[tuple[Sweep, DriveTruth | None]]:
-    """Yield the sweeps of files and recordings, as many a second as are wanted."""
-    jobs = list(chosen_files(files, None))
-    names = output_names([file for file, _ in jobs])
-    for named in chosen.at_rate(named_sweeps(reading, jobs, names, failures, history=history)):
-        yield named.sweep, None
-
-
-def _simulated(
-    preset: str, seconds: float, hz: float, agents: int, world: str | None, seed: int | None
-) -> Iterator[tuple[Sweep, DriveTruth | None]]:
-    """Return the sweeps of a simulated drive."""
-    drive = plugin("drives", "simulated", "viewshed record sim")
-    return cast(
-        "Iterator[tuple[Sweep, DriveTruth | None]]",
-        drive(preset, seconds=seconds, hz=hz, agents=agents, world=world, seed=seed),
-    )

@@ -12,7 +12,7 @@ import typer
 from viewshed.cli._options import AS_THEY_ARE, NOT_FOLLOWED, Following, Index, Reading
 from viewshed.cli._outputs import Failures, Named, output_names
 from viewshed.cli._places import chosen_files
-from viewshed.cli._profile import AS_USUAL, PipelineOptions
+from viewshed.cli._profile import AS_USUAL, PipelineOptions, at_rate
 from viewshed.cli._record import Awaited, SchemaNames, To, repeated, run_recorded
 from viewshed.cli._stream import named_sweeps
 from viewshed.cli.estimate import Files
@@ -88,7 +88,7 @@ def replay(
         return named_sweeps(reading, jobs, names, failures, history=running.history)
 
     pace = Pacer(0.0 if as_fast else rate)
-    taken = pace.kept(chosen.at_rate(repeated(read, loop=loop)))
+    taken = pace.kept(at_rate(repeated(read, loop=loop), chosen.rate_hz))
     awaited = (Awaited(each.sweep.agent, pace.time_s, each.sweep) for each in taken)
     run_recorded(
         running, chosen, awaited, following, failures, to=to, schemas=schemas, inputs=places, is_live=not as_fast

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 import socket
 import tempfile
@@ -10,7 +9,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -30,8 +29,8 @@ from viewshed.cli._options import (
 )
 from viewshed.cli._outputs import Failures, Named, output_names, refuse_inputs, report_doubts, summary_line, warm_up
 from viewshed.cli._places import chosen_files
-from viewshed.cli._profile import Method, PipelineSettings, ProfileName, settings
-from viewshed.cli._record import Awaited, Center, Listener, note_unmet, objects_line, repeated, run
+from viewshed.cli._profile import Method, PipelineOptions, ProfileName, at_rate
+from viewshed.cli._record import Awaited, Center, answer, note_unmet, objects_line, repeated
 from viewshed.cli._stream import history_buffer, named_sweeps
 from viewshed.cli._terminal import BAD_INPUTS, complain, one_line
 from viewshed.cli._verdicts import stream_monitor, stream_verdicts, verdicts, watching
@@ -46,6 +45,7 @@ if TYPE_CHECKING:
     from viewshed.fov.estimate import FovEstimate
     from viewshed.monitor import IntegrityReport, StreamMonitor
     from viewshed.pipeline.adversary import Adversary
+    from viewshed.pipeline.profiles import Profile
     from viewshed.preprocess.leveling import LeveledSweep
     from viewshed.show.view import Frame, PackedFrame
 
@@ -97,7 +97,7 @@ def view(
         raise ValueError("name one of: the page to write, --html run.html; --rerun run.rrd; --foxglove PORT; --serve")
     if serve and files:
         raise ValueError(f"--serve takes files on its page, got {files[0]}; leave it out, or name --html")
-    chosen = settings(ctx, profile, method=method, grid=grid, history=history, monitor=monitor, certify=None)
+    chosen = PipelineOptions(profile, method, grid, history=history, monitor=monitor).settings(ctx)
     network, cells = NetworkOptions(weights, passes, seed), options.parse_grid(chosen.grid)
     if serve:
         _serve_page(reading, network.estimator(chosen.method, cells, target))
@@ -112,7 +112,7 @@ def view(
     if foxglove is not None:
         estimator = network.estimator(chosen.method, cells, target)
         watch, live = watching(chosen.monitor, monitor_file), repeated(read, loop=sweeps is None)
-        taken = islice(chosen.at_rate(live), 0, None if sweeps is None else step * sweeps, step)
+        taken = islice(at_rate(live, chosen.rate_hz), 0, None if sweeps is None else step * sweeps, step)
         buffer = history_buffer(estimator, chosen.history)
         _serve(foxglove, taken, estimator, buffer, watch, chosen, failures, following)
     else:
@@ -120,7 +120,7 @@ def view(
         if chosen.monitor or monitor_file:
             own, check = _monitored(monitor_file, weights, method)
         estimator = own or network.estimator(chosen.method, cells, target)
-        taken = islice(chosen.at_rate(read()), 0, None if sweeps is None else step * sweeps, step)
+        taken = islice(at_rate(read(), chosen.rate_hz), 0, None if sweeps is None else step * sweeps, step)
         frames = _frames(taken, estimator, history_buffer(estimator, chosen.history), check, failures, following)
         title = f"{places[0].name or places[0]}{f' and {len(places) - 1} more' if len(places) > 1 else ''}"
         typer.echo(_written(html, rerun or Path(), frames, title, places))
@@ -188,16 +188,11 @@ def _serve_page(reading: Reading, estimator: Estimator) -> None:
                 raise RefusedFileError(line) from error
             return page.read_bytes(), "; ".join(said)
 
-    with _serving_somewhere(serving, page_of) as server:
-        typer.echo(f"open http://127.0.0.1:{server.server_address[1]}/ and drop a file on it; Ctrl-C ends")
-        server.serve_forever()
-
-
-def _serving_somewhere(serving: Callable[..., Any], page_of: Callable[[str, bytes], tuple[bytes, str]]) -> Any:
-    """Return the server at its usual port, or at any that is free."""
     with socket.socket() as probe:
         is_taken = probe.connect_ex(("127.0.0.1", PAGE_PORT)) == 0
-    return serving(0 if is_taken else PAGE_PORT, page_of)
+    with serving(0 if is_taken else PAGE_PORT, page_of) as server:
+        typer.echo(f"open http://127.0.0.1:{server.server_address[1]}/ and drop a file on it; Ctrl-C ends")
+        server.serve_forever()
 
 
 class _Raising(Failures):
@@ -214,25 +209,18 @@ def _serve(
     estimator: Estimator,
     buffer: SweepBuffer | None,
     watch: StreamMonitor | None,
-    chosen: PipelineSettings,
+    chosen: Profile,
     failures: Failures,
     following: Following,
 ) -> None:
     """Show sweeps live in Foxglove, at the pace at which they were measured."""
-    from viewshed.pipeline import Pipeline
     from viewshed.recordings.write.foxglove_topics import foxglove_server
 
-    pace, adversary = Pacer(1.0), following.adversary()
+    pace = Pacer(1.0)
     with foxglove_server(port) as record:
         typer.echo(f"open ws://localhost:{port} in Foxglove; Ctrl-C ends")
-        listener = Listener([record], failures, is_live=True, following=following, adversary=adversary)
-        objects = following.object_stream(adversary)
-        pipeline = Pipeline(
-            estimator, listener, history=buffer, monitor=watch, objects=objects, rules=chosen.rules,
-            certify=chosen.certify, certified_only=chosen.certified_only, stale_after_s=math.inf,
-        )  # fmt: skip
         awaited = (Awaited(each.sweep.agent, pace.time_s, each.sweep) for each in pace.kept(sweeps))
-        run(pipeline, listener, awaited, adversary)
+        answer([record], awaited, estimator, buffer, watch, chosen, following, failures, is_live=True)
 
 
 def _monitored(file: Path | None, weights: str | None, method: str | None) -> tuple[Estimator | None, Check]:

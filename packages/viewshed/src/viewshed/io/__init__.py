@@ -9,14 +9,16 @@ from __future__ import annotations
 import gzip
 import os
 from collections.abc import Iterator
+from typing import Any
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from viewshed._files import write_atomic
 from viewshed.geometry import Rigid
-from viewshed.io._columns import FILE_FRAMES, Columns, Given, file_frame_named, sweep_of
+from viewshed.io._columns import FILE_FRAMES, Columns, file_frame_named, sweep_of
 from viewshed.io._input import open_input
-from viewshed.io.formats import FORMATS, Format, all_formats, format_named, format_of
+from viewshed.io.formats import FORMATS, Format, all_formats, format_of, writer_named
 from viewshed.io.index import IndexEntry, read_index
 from viewshed.sensors import LidarModel, lidar_model
 from viewshed.sweep import Sweep
@@ -70,17 +72,17 @@ def read_sweeps(
     world_from_sensor: Rigid | None = None,
 ) -> Iterator[Sweep]:
     """Yield every complete sweep in a file; arguments and errors are those of :func:`read_sweep`."""
-    given = Given(
-        lidar_model(sensor) if isinstance(sensor, str) else sensor,
-        None if file_frame is None else file_frame_named(file_frame),
-        sensor_height_m, attitude, world_from_sensor,
-    )  # fmt: skip
+    model = lidar_model(sensor) if isinstance(sensor, str) else sensor
+    frame = None if file_frame is None else file_frame_named(file_frame)
+    stated: dict[str, Any] = {"sensor_height_m": sensor_height_m, "world_from_sensor": world_from_sensor}
+    stated["attitude"] = None if attitude is None else np.asarray(attitude)
+    stated = {name: value for name, value in stated.items() if value is not None}
     with open_input(path) as source:
         name = format_of(source) if format == "auto" else format
         if name not in all_formats():
             raise ValueError(f"format must be auto or one of {', '.join(all_formats())}, got {name!r}")
-        for columns in all_formats()[name].read(source, given.frame):
-            yield sweep_of(columns, source, given)
+        for columns in all_formats()[name].read(source, frame):
+            yield sweep_of(columns, source, model, stated)
 
 
 def read_indexed(entry: IndexEntry) -> Sweep:
@@ -109,10 +111,7 @@ def write_sweep(sweep: Sweep, path: str | os.PathLike[str], *, format: str = "au
         ValueError: the format is not known or cannot hold the sweep.
     """
     where = os.fspath(path)
-    write = all_formats()[format_named(format, where)].write
-    if write is None:
-        raise ValueError(f"{where}: format {format!r} is only read")
-    content = write(sweep)
+    content = writer_named(format, where)(sweep)
     if where.lower().endswith(".gz"):
         content = gzip.compress(content, compresslevel=6, mtime=0)
     write_atomic(where, content)

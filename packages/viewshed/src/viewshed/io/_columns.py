@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from viewshed import _core
 from viewshed.geometry import Rigid
@@ -22,7 +22,7 @@ from viewshed.io._rings import (
     whole_rings,
 )
 from viewshed.sensors import LidarModel
-from viewshed.sweep import PlanarScan, Sweep
+from viewshed.sweep import Sweep
 
 FILE_FRAMES: dict[str, Rigid] = {
     "sensor": Rigid.identity(),
@@ -78,49 +78,28 @@ class Columns:
     t_ns: int | None = None  # time of the sweep in nanoseconds, or None
     model: LidarModel | None = None  # beams as the file describes them, or None
     frame: Rigid = IDENTITY  # what is still to be done: ``sensor_from_columns``
-    saved: Saved | None = None  # the other attributes of a Sweep that this package wrote, or None
+    saved: Mapping[str, Any] | None = None  # the other attributes of a Sweep that this package wrote, or None
     left_out: tuple[str, ...] = ()  # what was in the file and cannot be what its name says, one line each
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Saved:
-    """Attributes of a Sweep that only this package's NPZ keeps."""
+def sweep_of(columns: Columns, source: InputFile, model: LidarModel | None, stated: Mapping[str, Any]) -> Sweep:
+    """Return the Sweep of a file's columns, in the sensor's frame; columns that were left out are warned of.
 
-    attitude: NDArray[np.float64] | None = None
-    sensor_height_m: float | None = None
-    world_from_sensor: Rigid | None = None
-    agent: str = "ego"
-    dropped_points: int = 0
-    planar: PlanarScan | None = None
-    pose_covariance: NDArray[np.float64] | None = None
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Given:
-    """What the caller knows about a sweep; it goes before what the file says."""
-
-    model: LidarModel | None = None  # beams of the sensor, or None
-    frame: Rigid | None = None  # ``sensor_from_file``, or None for the format's own
-    sensor_height_m: float | None = None  # mounting height, or None
-    attitude: ArrayLike | None = None  # quaternion (w, x, y, z) of ``level_from_sensor``, or None
-    world_from_sensor: Rigid | None = None  # pose, or None
-
-
-_NOTHING_SAVED = Saved()
-
-
-def sweep_of(columns: Columns, source: InputFile, given: Given) -> Sweep:
-    """Return the Sweep of a file's columns, in the sensor's frame; columns that were left out are warned of."""
-    points, azimuth = columns.points, columns.azimuth
-    saved = columns.saved or _NOTHING_SAVED
+    Args:
+        columns: of the file.
+        source: the file.
+        model: beams of the sensor, if the caller knows them.
+        stated: other attributes of the sweep that the caller knows; they go before what the file says.
+    """
+    points, azimuth, known = columns.points, columns.azimuth, {**(columns.saved or {}), **stated}
     if columns.frame is not IDENTITY and not is_identity(columns.frame):
-        if saved.planar is not None:
+        if known.get("planar") is not None:
             raise ValueError(
                 "file_frame must be left out for a scan in one plane, which lies in the sensor's own frame"
             )
         _core.move_points(points, columns.frame.rotation, columns.frame.translation)
         azimuth = None if azimuth is None else _turned(azimuth, columns.frame)
-    model = given.model if given.model is not None else columns.model
+    model = columns.model if model is None else model
     left_out = columns.left_out
     ring = columns.ring if columns.laser is None else rings_by_elevation(columns.laser, points, model)
     # Packets know their rings; a column may hold anything.
@@ -128,14 +107,9 @@ def sweep_of(columns: Columns, source: InputFile, given: Given) -> Sweep:
     problem = problem_of_rings(ring, points) if is_column and ring is not None else None
     if problem is not None:
         ring, left_out = None, (*left_out, f"ring is left out: {problem}")
-    sweep = Sweep(
-        points, columns.intensity, ring, azimuth, columns.time_s, columns.t_ns,
-        attitude=saved.attitude if given.attitude is None else np.asarray(given.attitude),
-        sensor_height_m=saved.sensor_height_m if given.sensor_height_m is None else given.sensor_height_m,
-        world_from_sensor=given.world_from_sensor or saved.world_from_sensor,
-        model=model, agent=saved.agent, dropped_points=saved.dropped_points, planar=saved.planar,
-        pose_covariance=None if given.world_from_sensor is not None else saved.pose_covariance,
-    )  # fmt: skip
+    if "world_from_sensor" in stated:
+        known.pop("pose_covariance", None)
+    sweep = Sweep(points, columns.intensity, ring, azimuth, columns.time_s, columns.t_ns, model=model, **known)
     if len(sweep) == 0 and len(points) > 0:
         raise ValueError(f"none of the {len(points)} points is finite")
     for line in left_out:

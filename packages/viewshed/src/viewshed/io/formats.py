@@ -15,7 +15,7 @@ from viewshed.io._input import InputFile
 from viewshed.io.argoverse import read_argoverse2
 from viewshed.io.las import read_las
 from viewshed.io.numpy_files import read_npy, read_npz, write_npy, write_npz
-from viewshed.io.ouster import metadata_path, read_ouster
+from viewshed.io.ouster_packets import metadata_path, read_ouster
 from viewshed.io.pcd import read_pcd, write_pcd
 from viewshed.io.ply import read_ply, write_ply
 from viewshed.io.raw_floats import columns_of_bin, read_kitti, read_nuscenes, write_kitti, write_nuscenes
@@ -135,21 +135,21 @@ def _maker_of_capture(source: InputFile) -> str:
     )
 
 
-def format_named(name: str, path: str) -> str:
-    """Return the format to write to ``path``: ``name``, or for "auto" the one its suffix tells.
+def writer_named(name: str, path: str) -> Writer:
+    """Return what writes the format ``name``, or for "auto" the one that the suffix of ``path`` tells.
 
     Raises:
         ValueError: there is no such format, the suffix is not known, or the format is only read.
     """
-    writable = [known for known, how in all_formats().items() if how.write is not None]
+    writers = {known: how.write for known, how in all_formats().items() if how.write is not None}
     if name == "auto":
         plain = path.lower().removesuffix(".gz")
-        name = next((known for known in writable if plain.endswith(all_formats()[known].suffixes)), "")
+        name = next((known for known in writers if plain.endswith(all_formats()[known].suffixes)), "")
         if not name:
-            raise ValueError(f"{path}: format cannot be known by the name; name one of {', '.join(writable)}")
-    if name not in writable:
-        raise ValueError(f"{path}: format must be one of {', '.join(writable)} to write, got {name!r}")
-    return name
+            raise ValueError(f"{path}: format cannot be known by the name; name one of {', '.join(writers)}")
+    if name not in writers:
+        raise ValueError(f"{path}: format must be one of {', '.join(writers)} to write, got {name!r}")
+    return writers[name]
 
 
 BAG_SUFFIXES = tuple(kind + packed for kind in (".bag", ".mcap", ".db3") for packed in ("", ".zstd", ".zst"))

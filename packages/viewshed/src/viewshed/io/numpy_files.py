@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from viewshed.geometry import Rigid
-from viewshed.io._columns import IDENTITY, Assumption, Columns, Saved, near_points
+from viewshed.io._columns import IDENTITY, Assumption, Columns, near_points
 from viewshed.io._input import InputFile, read_bounded, unpack_limit
 from viewshed.sensors import LidarModel
 from viewshed.sweep import MAX_POINTS, PlanarScan, Sweep, has_points_in_rows, shape_remedy
@@ -136,15 +136,16 @@ def _with_saved(columns: Columns, members: Mapping[str, NDArray[Any]]) -> Column
         raise ValueError(
             f"NPZ is of version {members['viewshed_sweep']} of viewshed's format, this one reads {_VERSION}"
         )
-    saved = Saved(
-        members.get("attitude"),
-        float(members["sensor_height_m"]) if "sensor_height_m" in members else None,
-        Rigid.from_matrix(members["world_from_sensor"]) if "world_from_sensor" in members else None,
-        str(members["agent"]),
-        int(members["dropped_points"]),
-        PlanarScan(members["open_azimuth"], float(members["open_m"])) if "open_m" in members else None,
-        members.get("pose_covariance"),
-    )
+    saved: dict[str, Any] = {name: members[name] for name in ("attitude", "pose_covariance") if name in members} | {
+        "agent": str(members["agent"]),
+        "dropped_points": int(members["dropped_points"]),
+    }
+    if "sensor_height_m" in members:
+        saved["sensor_height_m"] = float(members["sensor_height_m"])
+    if "world_from_sensor" in members:
+        saved["world_from_sensor"] = Rigid.from_matrix(members["world_from_sensor"])
+    if "open_m" in members:
+        saved["planar"] = PlanarScan(members["open_azimuth"], float(members["open_m"]))
     t_ns = int(members["t_ns"]) if "t_ns" in members else None
     return Columns(
         columns.points, members.get("intensity"), members.get("ring"), azimuth=members.get("azimuth"),

@@ -1,4 +1,6 @@
-"""Ouster's lidar packets: from UDP payloads and the sensor's metadata to the points of each revolution; numpy alone.
+"""Ouster's lidar packets and captures: from UDP payloads and the sensor's metadata to revolutions; numpy alone.
+
+The metadata of a capture lie in the ``.json`` beside it.
 
 Layouts as in Ouster's software user manual ("Lidar Data Packet Format"), geometry as in its "Lidar Range to XYZ"; tests
 hold both against ouster-sdk.
@@ -9,6 +11,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,7 +19,8 @@ from numpy.typing import NDArray
 
 from viewshed.geometry import Rigid
 from viewshed.io._columns import IDENTITY, Columns
-from viewshed.io._input import one_line
+from viewshed.io._input import InputFile, one_line
+from viewshed.io.velodyne import udp_payloads
 from viewshed.sensors import LidarModel
 
 _ROWS_MAX, _COLUMNS_MAX, _PIXELS_MAX = 512, 8192, 1 << 19  # 128 beams at 4096 columns; tables take 48 bytes a pixel
@@ -349,3 +353,46 @@ def _column_azimuth(columns: int) -> NDArray[np.float32]:
     """Return the encoder's angle of each column in the sensor's frame: 2 π (1 - column / columns) + π, clockwise."""
     angle = np.pi - 2 * np.pi * np.arange(columns) / columns
     return np.where(angle <= -np.pi, angle + 2 * np.pi, angle).astype(np.float32)
+
+
+_METADATA_BYTES = 1_000_000
+
+
+def metadata_path(path: str) -> Path:
+    """Return where the metadata of a capture lies: the same name with ``.json``.
+
+    >>> metadata_path("drive/a.pcap.gz").as_posix()
+    'drive/a.json'
+    """
+    file = Path(path)
+    return (file.with_suffix("") if file.suffix.lower() == ".gz" else file).with_suffix(".json")
+
+
+def read_ouster(source: InputFile, frame: Rigid | None) -> Iterator[Columns]:
+    """Yield the revolutions of an Ouster capture, in the sensor's frame; incomplete ones only where there is no other.
+
+    Ring 0 is the lowest beam; azimuth is the encoder's angle of the column, without the beams' own offsets.
+    """
+    content = source.content()
+    metadata = read_metadata(metadata_path(source.path))
+    decoder = OusterDecoder(metadata, IDENTITY if frame is None else frame)
+    return decoder.revolutions(payload for _, payload in udp_payloads(content))
+
+
+def read_metadata(path: Path) -> OusterMetadata:
+    """Return the metadata in a file.
+
+    Raises:
+        ValueError: it is not there, too large, or no metadata.
+    """
+    try:
+        with path.open("rb") as file:
+            raw = file.read(_METADATA_BYTES + 1)
+    except OSError as error:
+        raise ValueError(f"an Ouster capture needs its metadata in {path.name}: {error.strerror}") from error
+    if len(raw) > _METADATA_BYTES:
+        raise ValueError(f"{path.name} must be at most {_METADATA_BYTES} bytes of Ouster metadata")
+    try:
+        return OusterMetadata.parse(raw.decode("utf-8"))
+    except ValueError as error:
+        raise ValueError(f"{path.name} must be Ouster metadata: {one_line(error)}") from error

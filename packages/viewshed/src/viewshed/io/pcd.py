@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,30 +27,25 @@ _SLACK_BYTES = 65_536  # the Point Cloud Library fills the last memory page
 _ROW_BYTES = 1 << 20
 
 
-@dataclass(frozen=True, slots=True)
-class _Field:
-    name: str
-    kind: str
-    size: int
-    count: int
-    offset: int
+class _Column(NamedTuple):
+    """A column that is read: its type, its byte in a point, and its place in a line of text."""
 
-    @property
-    def dtype(self) -> str:
-        return f"<{self.kind.lower()}{self.size}"
+    kind: str
+    byte: int
+    place: int
 
 
 @dataclass(frozen=True, slots=True)
 class _Header:
-    fields: tuple[_Field, ...]
+    """What the header says: the columns that are read, bytes and numbers of a point, points, where the data start."""
+
+    columns: dict[str, _Column]
+    row_bytes: int
+    numbers: int
     points: int
     data: str
     start: int
     ours: bool
-
-    @property
-    def row_bytes(self) -> int:
-        return sum(field.size * field.count for field in self.fields)
 
 
 def read_pcd(source: InputFile, frame: Rigid | None) -> Iterator[Columns]:
@@ -75,24 +70,17 @@ def _parse_header(content: bytes) -> _Header:
         if line and not line.startswith("#"):
             key, *values = line.split()
             entries[key.upper()] = values
-    return _Header(_fields(entries), _point_count(entries), _data_kind(entries["DATA"]), start, ours)
-
-
-def _data_kind(values: list[str]) -> str:
-    kind = values[0].lower() if values else ""
-    if kind not in _BODIES:
-        raise ValueError(f"PCD DATA must be {', '.join(_BODIES)}, got {kind!r}")
-    return kind
-
-
-def _point_count(entries: dict[str, list[str]]) -> int:
+    data = " ".join(entries["DATA"][:1]).lower()
+    if data not in _BODIES:
+        raise ValueError(f"PCD DATA must be {', '.join(_BODIES)}, got {data!r}")
+    columns, row_bytes, numbers = _columns(entries)
     if "POINTS" in entries:
         count = _number(entries, "POINTS", 0)
     else:
         count = _number(entries, "WIDTH", 0) * _number(entries, "HEIGHT", 0)
     if count > MAX_POINTS:
         raise ValueError(f"a sweep must have at most {MAX_POINTS} points, PCD header says {count}")
-    return count
+    return _Header(columns, row_bytes, numbers, count, data, start, ours)
 
 
 def _number(entries: dict[str, list[str]], key: str, index: int) -> int:
@@ -102,35 +90,30 @@ def _number(entries: dict[str, list[str]], key: str, index: int) -> int:
     return int(values[index])
 
 
-def _fields(entries: dict[str, list[str]]) -> tuple[_Field, ...]:
+def _columns(entries: dict[str, list[str]]) -> tuple[dict[str, _Column], int, int]:
+    """Return the columns that are read, the first of each name; and how many bytes and numbers a point has."""
     names, kinds = entries.get("FIELDS", []), entries.get("TYPE", [])
     counts = entries.get("COUNT", ["1"] * len(names))
     if not names or not len(names) == len(kinds) == len(counts) == len(entries.get("SIZE", [])):
         raise ValueError("PCD header lines FIELDS, SIZE, TYPE and COUNT must be of one length")
-    fields: list[_Field] = []
-    offset = 0
+    columns: dict[str, _Column] = {}
+    byte = place = 0
     for index, (name, kind) in enumerate(zip(names, kinds, strict=True)):
         size = _number(entries, "SIZE", index)
         count = _number(entries, "COUNT", index) if "COUNT" in entries else 1
         if size not in _KINDS.get(kind.upper(), set()) or count > _HEADER_BYTES:
             raise ValueError(f"PCD field {name!r} has unknown TYPE {kind!r}, SIZE {size} or COUNT {count}")
-        fields.append(_Field(name.lower(), kind.upper(), size, count, offset))
-        offset += size * count
-    if offset > _ROW_BYTES:
-        raise ValueError(f"PCD points must have at most {_ROW_BYTES} bytes each, got {offset}")
-    return tuple(fields)
-
-
-def _wanted(header: _Header) -> dict[str, _Field]:
-    fields = [field for field in header.fields if field.count == 1]
-    return {field.name: field for field in reversed(fields) if field.name in WANTED}
+        if count == 1 and name.lower() in WANTED:
+            columns.setdefault(name.lower(), _Column(f"<{kind.lower()}{size}", byte, place))
+        byte, place = byte + size * count, place + count
+    if byte > _ROW_BYTES:
+        raise ValueError(f"PCD points must have at most {_ROW_BYTES} bytes each, got {byte}")
+    return columns, byte, place
 
 
 def _ascii(content: bytes, header: _Header) -> Mapping[str, NDArray[Any]]:
-    width = sum(field.count for field in header.fields)
-    position = {field.name: sum(other.count for other in header.fields[:at]) for at, field in enumerate(header.fields)}
-    wanted = {name: position[name] for name in _wanted(header)}
-    return number_columns(content, header.start, header.points, width, wanted)
+    wanted = {name: column.place for name, column in header.columns.items()}
+    return number_columns(content, header.start, header.points, header.numbers, wanted)
 
 
 def _binary(content: bytes, header: _Header) -> Mapping[str, NDArray[Any]]:
@@ -139,19 +122,12 @@ def _binary(content: bytes, header: _Header) -> Mapping[str, NDArray[Any]]:
         raise ValueError(f"PCD data is cut off: {header.points} points need {needed} bytes, the file holds {held}")
     if held - needed > _SLACK_BYTES:
         raise ValueError(f"PCD header is wrong: {header.points} points need {needed} bytes, the file holds {held}")
-    fields = _wanted(header)
-    rows = np.ndarray(
-        header.points,
-        np.dtype({
-            "names": list(fields),
-            "formats": [field.dtype for field in fields.values()],
-            "offsets": [field.offset for field in fields.values()],
-            "itemsize": header.row_bytes,
-        }),
-        content,
-        header.start,
-    )  # fmt: skip
-    return {name: rows[name] for name in fields}
+    kinds, bytes_at, _ = zip(*header.columns.values(), strict=True) if header.columns else ((), (), ())
+    kind = np.dtype({
+        "names": list(header.columns), "formats": kinds, "offsets": bytes_at, "itemsize": header.row_bytes,
+    })  # fmt: skip
+    rows = np.ndarray(header.points, kind, content, header.start)
+    return {name: rows[name] for name in header.columns}
 
 
 def _compressed(content: bytes, header: _Header) -> Mapping[str, NDArray[Any]]:
@@ -172,8 +148,8 @@ def _compressed(content: bytes, header: _Header) -> Mapping[str, NDArray[Any]]:
     if written != unpacked:
         raise ValueError("PCD compressed data is damaged")
     return {
-        name: data[field.offset * header.points :][: field.size * header.points].view(field.dtype)
-        for name, field in _wanted(header).items()
+        name: np.ndarray(header.points, column.kind, data, column.byte * header.points)
+        for name, column in header.columns.items()
     }
 
 

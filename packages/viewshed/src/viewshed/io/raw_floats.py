@@ -30,13 +30,8 @@ def read_kitti(source: InputFile, frame: Rigid | None) -> Iterator[Columns]:
     rows = _rows(source, 4)
     block = np.empty(4 * rows, np.float32)
     points, intensity = block[: 3 * rows], block[3 * rows :]
-    buffer = _scratch()
-    start = 0
-    while start < rows:
-        count = _fill(source, buffer, rows - start, 4)
-        stop = start + count
+    for buffer, start, stop in _filled(source, rows, 4):
         _core.split_xyzi(buffer, points[3 * start : 3 * stop], intensity[start:stop])
-        start = stop
     yield Columns(points.reshape(rows, 3), intensity, frame=IDENTITY if frame is None else frame)
 
 
@@ -46,15 +41,11 @@ def read_nuscenes(source: InputFile, frame: Rigid | None) -> Iterator[Columns]:
     block = np.empty(9 * rows, np.int16)
     floats, ring = block[: 8 * rows].view(np.float32), block[8 * rows :]
     points, intensity = floats[: 3 * rows], floats[3 * rows :]
-    buffer = _scratch()
-    start = bad = 0
-    while start < rows:
-        count = _fill(source, buffer, rows - start, 5)
-        stop = start + count
+    bad = 0
+    for buffer, start, stop in _filled(source, rows, 5):
         bad += _core.split_xyzir(
             buffer, points[3 * start : 3 * stop], intensity[start:stop], ring[start:stop], frame is None
         )
-        start = stop
     if bad and source.size % 16 == 0:
         raise ValueError(f"the fifth column must be whole ring numbers, {bad} of {rows} are not; is it nuScenes?")
     named = _MICROSECONDS.search(source.name)
@@ -63,14 +54,6 @@ def read_nuscenes(source: InputFile, frame: Rigid | None) -> Iterator[Columns]:
         left_out=(f"ring is left out: {bad} of {rows} are no whole numbers",) if bad else (),
         t_ns=int(named[1]) * 1000 if named else None, frame=IDENTITY if frame is None else frame,
     )  # fmt: skip
-
-
-def _scratch() -> NDArray[np.float32]:
-    """Return this thread's buffer for rows, kept because fresh memory costs more than reading."""
-    buffer: NDArray[np.float32] | None = getattr(_LOCAL, "buffer", None)
-    if buffer is None:
-        buffer = _LOCAL.buffer = np.empty(5 * _CHUNK_ROWS, np.float32)
-    return buffer
 
 
 def _rows(source: InputFile, columns: int) -> int:
@@ -85,16 +68,24 @@ def _rows(source: InputFile, columns: int) -> int:
     return rows
 
 
-def _fill(source: InputFile, buffer: NDArray[np.float32], rows: int, columns: int) -> int:
-    """Read up to a buffer of whole rows; return how many."""
-    view = buffer.data.cast("B")[: 4 * columns * min(rows, _CHUNK_ROWS)]
-    got = 0
-    while got < len(view):
-        count = source.file.readinto(view[got:])  # type: ignore[attr-defined]
-        if not count:
-            raise ValueError("the file became shorter while it was read")
-        got += count
-    return got // (4 * columns)
+def _filled(source: InputFile, rows: int, columns: int) -> Iterator[tuple[NDArray[np.float32], int, int]]:
+    """Yield this thread's buffer, filled with some rows, and the numbers of the first and after the last of them.
+
+    The buffer is kept because fresh memory costs more than reading.
+    """
+    buffer: NDArray[np.float32] | None = getattr(_LOCAL, "buffer", None)
+    if buffer is None:
+        buffer = _LOCAL.buffer = np.empty(5 * _CHUNK_ROWS, np.float32)
+    for start in range(0, rows, _CHUNK_ROWS):
+        stop = min(start + _CHUNK_ROWS, rows)
+        view = buffer.data.cast("B")[: 4 * columns * (stop - start)]
+        got = 0
+        while got < len(view):
+            count = source.file.readinto(view[got:])  # type: ignore[attr-defined]
+            if not count:
+                raise ValueError("the file became shorter while it was read")
+            got += count
+        yield buffer, start, stop
 
 
 def columns_of_bin(source: InputFile) -> int:

@@ -175,39 +175,36 @@ def revolution_of_packets(packets: Sequence[tuple[float, bytes]]) -> Columns:
     Raises:
         ValueError: they are of different models or of an unknown one, or the decoder refuses them.
     """
-    with needed_for("reading Velodyne packets"):
-        import velodyne_decoder
+    library = _library()
     products = {payload[-1] for _, payload in packets}
     if len(products) > 1:
         raise ValueError(
             f"packets must be of one model, got products {', '.join(f'0x{each:02x}' for each in products)}"
         )
     name = _model_name(packets[0][1])
-    decoder = velodyne_decoder.ScanDecoder(_config(velodyne_decoder, name))
-    together = velodyne_decoder.PacketVector([velodyne_decoder.VelodynePacket(*each) for each in packets])
+    decoder = library.ScanDecoder(_config(library, name))
+    together = library.PacketVector([library.VelodynePacket(*each) for each in packets])
     return _columns(_call(decoder.decode, together), name, IDENTITY)
 
 
 def _revolutions(packets: Iterable[tuple[float, bytes]], frame: Rigid | None) -> Iterator[Columns]:
-    with needed_for("reading Velodyne packets"):
-        import velodyne_decoder
-    decoder = name = None
+    library, decoder, name = _library(), None, ""
     any_returns = False
     for seconds, payload in packets:
         if not is_velodyne(payload):
             continue
         if decoder is None:
             name = _model_name(payload)
-            decoder = velodyne_decoder.StreamDecoder(_config(velodyne_decoder, name))
+            decoder = library.StreamDecoder(_config(library, name))
         scan = _call(decoder.decode, seconds, payload)
         if scan is not None and len(scan[1]):
             any_returns = True
-            yield _columns(scan, name or "", frame)
+            yield _columns(scan, name, frame)
     if decoder is None:
         raise ValueError("holds no Velodyne data packets (1206 bytes that begin with ff ee)")
     rest = _call(decoder.finish)
     if not any_returns and rest is not None:
-        yield _columns(rest, name or "", frame)
+        yield _columns(rest, name, frame)
     elif not any_returns:
         raise ValueError("holds no revolution with a return")
 
@@ -217,6 +214,12 @@ def _model_name(payload: bytes) -> str:
     if product not in _MODELS:
         raise ValueError(f"Velodyne product must be {', '.join(_MODELS.values())}, got id 0x{product:02x}")
     return _MODELS[product]
+
+
+def _library() -> Any:
+    with needed_for("reading Velodyne packets"):
+        import velodyne_decoder
+    return velodyne_decoder
 
 
 def _config(library: Any, name: str) -> Any:

@@ -11,7 +11,7 @@ import shapely
 from numpy.typing import NDArray
 
 from viewshed._extras import needed_for
-from viewshed.arrays import F64
+from viewshed.arrays import F64, Mask
 from viewshed.objects.matching import corners_of
 
 Numbers = NDArray[np.int32]
@@ -66,10 +66,18 @@ def volume_overlaps(first: F64, second: F64) -> F64:
     return np.asarray(shared / (volumes - shared))
 
 
-def inside(points: F64, boxes: F64) -> NDArray[np.bool_]:
-    """Return which points (K, 2+) lie inside the footprints of which boxes (N, 7): (N, K)."""
+def inside(points: F64, boxes: F64, margin_m: float = 0.0) -> Mask:
+    """Return which points (K, 2+) lie inside the footprints of which boxes (N, 7), or so far beside: (N, K)."""
     dx = points[None, :, 0] - boxes[:, 0, None]
     dy = points[None, :, 1] - boxes[:, 1, None]
     cos, sin = np.cos(boxes[:, 6])[:, None], np.sin(boxes[:, 6])[:, None]
-    is_along = np.abs(cos * dx + sin * dy) <= boxes[:, 3, None] / 2
-    return np.asarray(is_along & (np.abs(cos * dy - sin * dx) <= boxes[:, 4, None] / 2))
+    is_along = np.abs(cos * dx + sin * dy) <= boxes[:, 3, None] / 2 + margin_m
+    return np.asarray(is_along & (np.abs(cos * dy - sin * dx) <= boxes[:, 4, None] / 2 + margin_m))
+
+
+def no_part_of_earlier(is_part: Mask) -> Mask:
+    """Return which of K boxes (K,) are kept in their order: those in no kept one before; ``is_part`` (K, K) by row."""
+    kept = np.ones(len(is_part), np.bool_)
+    for k in np.flatnonzero(np.triu(is_part, k=1).any(axis=0)):
+        kept[k] = not (is_part[:k, k] & kept[:k]).any()
+    return kept

@@ -11,7 +11,6 @@ from viewshed.arrays import F64
 from viewshed.monitor.calibration import alarms_allowed
 from viewshed.objects.before import FOLLOWED_AFTER, SeenBefore, surface_shares
 from viewshed.objects.evidence import EvidenceCounts, EvidenceModel, birth_bins, jump_bins, view_bins
-from viewshed.objects.explained import take_tracks
 from viewshed.objects.jumps import LATEST, Sightings
 from viewshed.objects.memory import rows_of
 from viewshed.objects.sensor_view import Observed
@@ -105,9 +104,9 @@ def count_drive(drive: Iterable[Observed], counts: EvidenceCounts, rng: np.rando
         counts.add("view", view_bins(view.view.visible(boxes)), view_bins(view.view.visible(elsewhere)))
         if view.cells is not None:
             kinds = tracks.kinds[is_matched]
-            counts.honest_cells.append(cell_evidence(boxes, kinds, view)[1])
+            counts.cells["honest"].append(cell_evidence(boxes, kinds, view)[1])
             forged_cells, forged_bins = cell_evidence(elsewhere, kinds, view)
-            counts.forged_cells.append(forged_bins)
+            counts.cells["forged"].append(forged_bins)
         # A moved track jumps in its latest places.
         sightings = sightings.joined(Sightings.none(1)).take(rows_of(tracks.ids, ids))  # the last row is a new track's
         ids = tracks.ids
@@ -115,7 +114,7 @@ def count_drive(drive: Iterable[Observed], counts: EvidenceCounts, rng: np.rando
         sightings = sightings.after(rows, tracks.t_s, boxes[:, :2])
         if view.cells is not None:
             # A ghost that is made in the sweep stands in the open, has a surface and moves as a track does.
-            honest = take_tracks(tracks, rows)
+            honest = tracks.take(rows)
             ghosts, in_the_open = replace(honest, boxes=elsewhere), forged_cells.free >= _OPEN
             followed = np.isin((~np.isnan(sightings.times[rows])).sum(axis=1), FOLLOWED_AFTER)
             surface = surface_shares(view.cells, honest.boxes)

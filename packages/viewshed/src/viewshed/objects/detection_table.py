@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from viewshed._extras import needed_for
 from viewshed._files import write_atomic
 from viewshed.arrays import F64
 from viewshed.detections import ObjectKind
@@ -147,21 +148,11 @@ def _leaning(sums: F64, counts: F64, prior: F64, weight: float = _PRIOR) -> F64:
 
 
 def _rising(values: F64, weights: F64) -> F64:
-    """Return the nearest values that do not fall along axis 1: pool adjacent violators (Ayer et al. 1955)."""
+    """Return the nearest values that do not fall along axis 1."""
+    with needed_for("tracking"):
+        from scipy.optimize import isotonic_regression
     rows, row_weights = (np.moveaxis(array, 1, -1) for array in (values, weights))
     out = np.empty_like(rows)
     for place in np.ndindex(rows.shape[:-1]):
-        means: list[float] = []
-        sums: list[float] = []
-        sizes: list[int] = []
-        for value, weight in zip(rows[place], row_weights[place], strict=True):
-            mean, total, size = float(value), float(weight), 1
-            while means and means[-1] > mean:
-                mean = (mean * total + means[-1] * sums[-1]) / (total + sums[-1])
-                total, size = total + sums.pop(), size + sizes.pop()
-                means.pop()
-            means.append(mean)
-            sums.append(total)
-            sizes.append(size)
-        out[place] = np.repeat(means, sizes)
+        out[place] = isotonic_regression(rows[place], weights=row_weights[place]).x
     return np.moveaxis(out, -1, 1)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from viewshed.arrays import F64
 from viewshed.detections import Detections, ObjectKind
+from viewshed.objects.association import inside, no_part_of_earlier
 from viewshed.objects.candidates import Candidates, find_candidates
 from viewshed.objects.completion import complete_boxes, middles_of
 from viewshed.objects.shape_classifier import ENDS, KIND_SEEN_AS, SeenAs, ShapeClassifier, shipped_classifier
@@ -116,15 +117,5 @@ def first_of_overlapping(boxes: F64, seen: F64) -> Numbers:
 
     A box is part of another if its middle, or that of the sides that were ``seen`` (K, 2), lies in it.
     """
-    c, s = np.cos(boxes[:, 6])[:, None], np.sin(boxes[:, 6])[:, None]
-    is_part = np.zeros((len(boxes), len(boxes)), np.bool_)
-    for middles in (boxes[:, :2], seen):
-        x, y = (middles[None, :, axis] - boxes[:, None, axis] for axis in (0, 1))
-        inside = np.abs(x * c + y * s) < boxes[:, 3:4] / 2 + _BESIDE_M
-        is_part |= inside & (np.abs(y * c - x * s) < boxes[:, 4:5] / 2 + _BESIDE_M)
-    kept, is_free = [], np.ones(len(boxes), np.bool_)
-    for k in range(len(boxes)):
-        if is_free[k]:
-            kept.append(k)
-            is_free &= ~is_part[k]
-    return np.array(kept, np.intp)
+    is_part = inside(boxes, boxes, _BESIDE_M) | inside(seen, boxes, _BESIDE_M)
+    return np.flatnonzero(no_part_of_earlier(is_part))

@@ -208,45 +208,42 @@ TABLES = {"view": VIEW_BINS, "birth": BIRTH_BINS, "jump": JUMP_BINS}
 """The tables of a model and their number of bins."""
 
 
+_KINDS = ("honest", "forged")
+
+
 @dataclass(slots=True)
 class EvidenceCounts:
-    """Counts the bins of tables: honest and forged."""
+    """Counts the bins of tables, and keeps those of cells: honest and forged."""
 
-    honest: dict[str, F64] = field(default_factory=lambda: {name: np.zeros(bins) for name, bins in TABLES.items()})
-    forged: dict[str, F64] = field(default_factory=lambda: {name: np.zeros(bins) for name, bins in TABLES.items()})
-    honest_cells: list[NDArray[np.int32]] = field(default_factory=list)
-    forged_cells: list[NDArray[np.int32]] = field(default_factory=list)
+    counts: dict[str, F64] = field(
+        default_factory=lambda: {f"{kind}_{name}": np.zeros(bins) for kind in _KINDS for name, bins in TABLES.items()}
+    )
+    cells: dict[str, list[Columns]] = field(default_factory=lambda: {kind: [] for kind in _KINDS})
 
     def add(self, name: str, honest: NDArray[np.int64], forged: NDArray[np.int64]) -> None:
         """Add the bins of honest and of forged tracks to a table."""
-        for counts, bins in ((self.honest, honest), (self.forged, forged)):
-            counts[name] += np.bincount(bins[bins != BLIND], minlength=TABLES[name])
+        for kind, bins in zip(_KINDS, (honest, forged), strict=True):
+            self.counts[f"{kind}_{name}"] += np.bincount(bins[bins != BLIND], minlength=TABLES[name])
 
     def table(self, name: str) -> EvidenceTable:
         """Return one of the tables."""
-        return EvidenceTable(tuple(self.honest[name].tolist()), tuple(self.forged[name].tolist()))
+        return EvidenceTable(*(tuple(self.counts[f"{kind}_{name}"].tolist()) for kind in _KINDS))
 
     def weights(self) -> tuple[float, ...]:
         """Return the weights of what cells say, all 0 where no field of view had states."""
-        if not self.honest_cells:
+        if not self.cells["honest"]:
             return (0.0,) * (WEIGHTS + 1)
-        return tuple(fit_weights(np.concatenate(self.honest_cells), np.concatenate(self.forged_cells)).tolist())
+        return tuple(fit_weights(*(np.concatenate(self.cells[kind]) for kind in _KINDS)).tolist())
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """Return all counts as arrays by name, to be kept."""
         empty = np.zeros((0, len(BOX_FEATURES)), np.int64)
-        cells = {
-            "honest_cells": np.concatenate([empty, *self.honest_cells]).astype(np.int16),
-            "forged_cells": np.concatenate([empty, *self.forged_cells]).astype(np.int16),
-        }
-        tables = {f"{kind}_{name}": getattr(self, kind)[name] for kind in ("honest", "forged") for name in TABLES}
-        return tables | cells
+        cells = {f"{kind}_cells": np.concatenate([empty, *self.cells[kind]]).astype(np.int16) for kind in _KINDS}
+        return self.counts | cells
 
     def add_arrays(self, arrays: dict[str, NDArray[Any]]) -> None:
         """Add counts that were kept by :meth:`arrays`."""
-        for kind in ("honest", "forged"):
-            for name in TABLES:
-                getattr(self, kind)[name] += arrays[f"{kind}_{name}"]
-            rows = arrays[f"{kind}_cells"].astype(np.int64)
-            if len(rows):
-                getattr(self, f"{kind}_cells").append(rows)
+        self.counts = {name: counts + arrays[name] for name, counts in self.counts.items()}
+        for kind in _KINDS:
+            if len(arrays[f"{kind}_cells"]):
+                self.cells[kind].append(arrays[f"{kind}_cells"].astype(np.int32))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from enum import IntEnum
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,12 +16,6 @@ _PUT_BACK_M = 2.0
 
 _GROWTH_MPS = 0.3
 """How fast the place of a removed object becomes unsure."""
-
-TRACK_ROWS = (
-    "ids", "states", "covariances", "boxes", "box_variances", "kinds", "existence", "confirmed", "detection", "visible",
-    "detectable", "born_s", "seen_s", "born_hidden",
-)  # fmt: skip
-"""The arrays of ``Tracks`` with a row for each track."""
 
 
 class Explanation(IntEnum):
@@ -95,17 +88,4 @@ class ExplainedTracks:
         odds = self.wealth[:, REMOVED]
         existence = np.where(removed, np.maximum(tracks.existence, odds / (1.0 + odds)), tracks.existence)
         whole = replace(tracks, states=states, boxes=boxes, covariances=covariances, existence=existence)
-        return take_tracks(whole, kept)
-
-
-def take_tracks(tracks: Tracks, chosen: Mask | NDArray[np.intp]) -> Tracks:
-    """Return some tracks, by a mask (N,) or by their numbers."""
-    return replace(tracks, **{name: getattr(tracks, name)[chosen] for name in TRACK_ROWS})
-
-
-def join_tracks(tracks: Tracks, others: Tracks) -> Tracks:
-    """Return tracks and others of the same time after them."""
-    arrays: dict[str, Any] = {
-        name: np.concatenate([getattr(tracks, name), getattr(others, name)]) for name in TRACK_ROWS
-    }
-    return replace(tracks, **arrays)
+        return whole.take(kept)

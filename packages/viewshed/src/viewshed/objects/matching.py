@@ -1,11 +1,10 @@
-"""Detections against true boxes: matched by their centers, with the overlap seen from above beside it."""
+"""Detections against true boxes, matched by their centers; and corners of boxes."""
 
 from __future__ import annotations
 
 from typing import Any
 
 import numpy as np
-import shapely
 from numpy.typing import NDArray
 
 from viewshed.arrays import F64
@@ -33,13 +32,6 @@ def match_boxes(
         if matched[k] < 0 and not taken[t]:
             matched[k], taken[t] = t, True
     return matched
-
-
-def overlaps(boxes: NDArray[np.floating[Any]], others: NDArray[np.floating[Any]]) -> F64:
-    """Return intersection over union (K,), seen from above, of boxes (K, 7) and others (K, 7), pair by pair."""
-    one, other = shapely.polygons(corners_of(boxes)), shapely.polygons(corners_of(others))
-    common = np.asarray(shapely.area(shapely.intersection(one, other)), np.float64)
-    return common / (shapely.area(one) + shapely.area(other) - common)
 
 
 def corners_of(boxes: NDArray[np.floating[Any]]) -> F64:

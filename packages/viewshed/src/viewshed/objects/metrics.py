@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from viewshed._extras import needed_for
 from viewshed.arrays import F64
+from viewshed.objects.association import assignment_solver
 
 Points = NDArray[np.floating[Any]]
 
@@ -53,7 +53,7 @@ def gospa(tracks: Points, truths: Points, *, cutoff_m: float = 4.0, order: float
     """
     apart = _distances(tracks, truths, cutoff_m, order)
     costs = np.minimum(apart, cutoff_m) ** order
-    rows, columns = _pairs(costs)
+    rows, columns = assignment_solver()(costs)
     is_pair = apart[rows, columns] < cutoff_m
     pairs, each = int(is_pair.sum()), cutoff_m**order / 2.0
     localization = float(costs[rows, columns][is_pair].sum())
@@ -72,7 +72,7 @@ def ospa_m(tracks: Points, truths: Points, *, cutoff_m: float = 1.0, order: floa
     more = max(costs.shape)
     if more == 0:
         return 0.0
-    total = costs[_pairs(costs)].sum() + cutoff_m**order * (more - min(costs.shape))
+    total = costs[assignment_solver()(costs)].sum() + cutoff_m**order * (more - min(costs.shape))
     return float((total / more) ** (1.0 / order))
 
 
@@ -91,7 +91,9 @@ def match_objects(
     """Return which tracks (N, 2+) are of which truths (M, 2+): at most ``within_m`` apart, as many as can be."""
     apart = _distances(tracks, truths, within_m, 1.0)
     # More pairs come first, a smaller sum of distances second.
-    rows, columns = _pairs(np.where(apart <= within_m, apart - within_m * (1 + max(apart.shape, default=0)), 0.0))
+    rows, columns = assignment_solver()(
+        np.where(apart <= within_m, apart - within_m * (1 + max(apart.shape, default=0)), 0.0)
+    )
     truth_of_track = np.full(len(track_ids), -1, np.int64)
     is_pair = apart[rows, columns] <= within_m
     truth_of_track[rows[is_pair]] = columns[is_pair]
@@ -119,13 +121,13 @@ class IdSwitches:
         return self.count
 
 
-def _distances(tracks: Points, truths: Points, cutoff_m: float, order: float, columns: int = 2) -> F64:
-    """Return the distances (N, M) of points by their first columns, or raise ValueError."""
+def _distances(tracks: Points, truths: Points, cutoff_m: float, order: float) -> F64:
+    """Return the distances (N, M) of points by x and y, or raise ValueError."""
     if not 0.0 < cutoff_m < np.inf:
         raise ValueError(f"cutoff_m must be positive and finite, got {cutoff_m}")
     if not 1.0 <= order < np.inf:
         raise ValueError(f"order must be at least 1 and finite, got {order}")
-    first, second = (np.asarray(points, np.float64)[..., :columns] for points in (tracks, truths))
+    first, second = (np.asarray(points, np.float64)[..., :2] for points in (tracks, truths))
     if first.ndim != 2 or second.ndim != 2:
         raise ValueError(f"points must have shape (N, 2) or more columns, got {first.shape} and {second.shape}")
     if not (np.isfinite(first).all() and np.isfinite(second).all()):
@@ -133,11 +135,3 @@ def _distances(tracks: Points, truths: Points, cutoff_m: float, order: float, co
     if not len(first) or not len(second):
         return np.zeros((len(first), len(second)))
     return np.asarray(np.linalg.norm(first[:, None] - second[None], axis=-1))
-
-
-def _pairs(costs: F64) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return rows and columns of the assignment of least total cost."""
-    with needed_for("comparing tracks with objects"):
-        from scipy.optimize import linear_sum_assignment
-    rows, columns = linear_sum_assignment(costs)
-    return rows, columns

@@ -9,9 +9,10 @@ fusion uses the field of view and the past.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache
 from importlib import resources
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,8 +40,6 @@ from viewshed.objects.explained import (
     REMOVED,
     ExplainedTracks,
     Explanation,
-    join_tracks,
-    take_tracks,
 )
 from viewshed.objects.memory import Memory, aligned, rows_of
 from viewshed.objects.sensor_view import SensorView, check_views
@@ -156,7 +155,7 @@ class SingleFusion:
         self, tracks: Tracks, detections: Detections, view: SensorView, dt_s: float
     ) -> tuple[Tracks, Memory]:
         """Return the tracks and, after them, those that the tracker has given up, with what is known of each."""
-        last = take_tracks(tracks, np.zeros(0, np.intp)) if self._last is None else self._last
+        last = tracks.take(np.zeros(0, np.intp)) if self._last is None else self._last
         memory = aligned(self._memory, last.ids, tracks.ids)
         is_matched = tracks.detection >= 0
         places = detections.boxes[tracks.detection[is_matched], :2]
@@ -171,8 +170,8 @@ class SingleFusion:
         given_up &= (apart >= _SAME_M).all(axis=1)
         if not given_up.any():
             return tracks, memory
-        carried_over = _predicted(take_tracks(last, given_up), tracks.t_s, dt_s, view)
-        return join_tracks(tracks, carried_over), memory.joined(self._memory.take(given_up))
+        carried_over = _predicted(last.take(given_up), tracks.t_s, dt_s, view)
+        return tracks.joined(carried_over), memory.joined(self._memory.take(given_up))
 
     def _still_there(self, tracks: Tracks, look: _Look, is_matched: Mask, views: Sequence[SensorView]) -> F64:
         """Return gone : still there (N,) by the cells at the track, or at the nearest surface if these fit better."""
@@ -222,17 +221,11 @@ _BARE_S = 0.5
 """A given-up track without a surface for this time is gone."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Look:
-    """What all views say of boxes, (K,) each.
+class _Look(NamedTuple):
+    """What all views say of boxes, (K,) each; without cells nothing is free or hidden, and the surface is NaN."""
 
-    Attributes:
-        ratio: of fabricated : honest, the mean over the views that say something.
-        surface, free, hidden, unknown: shares of the boxes, of the first view; unknown is 0 without cells.
-    """
-
-    ratio: F64
-    surface: F64
+    ratio: F64  # of fabricated : honest, the mean over the views that say something
+    surface: F64  # shares of the boxes, of the first view
     free: F64
     hidden: F64
     unknown: F64
@@ -242,8 +235,8 @@ def _look(boxes: F64, kinds: NDArray[np.uint8], views: Sequence[SensorView], mod
     """Ask all views of boxes (K, 7); however they depend on each other, the mean of their ratios is an e-value."""
     count = len(boxes)
     total, speaking = np.zeros(count), np.zeros(count)
-    shares = [np.full(count, np.nan), np.zeros(count), np.zeros(count)]
-    unknown = np.zeros(count)
+    nothing = np.zeros(count)
+    shares = np.full(count, np.nan), nothing, nothing, nothing
     for number, each in enumerate(views):
         if each.cells is None:
             ratio, speaks = ratios_of(model.view, view_bins(each.view.visible(boxes))), np.ones(count, np.bool_)
@@ -251,12 +244,10 @@ def _look(boxes: F64, kinds: NDArray[np.uint8], views: Sequence[SensorView], mod
             seen, bins = cell_evidence(boxes, kinds, each)
             ratio, speaks = cell_ratios(np.array(model.weights), bins), bins[:, 0] != BLIND
             if number == 0:
-                shares, unknown = [seen.surface, seen.free, seen.hidden], 1.0 - seen.surface - seen.free - seen.hidden
+                shares = seen.surface, seen.free, seen.hidden, 1.0 - seen.surface - seen.free - seen.hidden
         total += np.where(speaks, ratio, 0.0)
         speaking += speaks
-    ratio = np.where(speaking > 0, total / np.maximum(speaking, 1), 1.0)
-    surface, free, hidden = shares
-    return _Look(ratio, surface, free, hidden, unknown)
+    return _Look(np.where(speaking > 0, total / np.maximum(speaking, 1), 1.0), *shares)
 
 
 def cell_evidence(boxes: F64, kinds: NDArray[np.uint8], view: SensorView) -> tuple[BoxCells, NDArray[np.int32]]:

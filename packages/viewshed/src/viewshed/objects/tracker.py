@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
-from typing import Protocol, Self
+from dataclasses import dataclass, replace
+from typing import Any, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from viewshed.arrays import F64
 from viewshed.detections import Detections, ObjectKind
-from viewshed.objects.association import assign, assignment_solver, inside
+from viewshed.objects.association import assign, assignment_solver, inside, no_part_of_earlier
 from viewshed.objects.existence import (
     LEVELS,
     after_detection,
@@ -33,10 +33,20 @@ from viewshed.objects.kalman import (
     update_boxes,
     wrapped,
 )
-from viewshed.objects.tracks import Tracks
+from viewshed.objects.tracks import TRACK_ROWS, Tracks
 from viewshed.objects.views import View
 
 Numbers = NDArray[np.int32]
+
+MOST_TRACKS, MOST_DETECTIONS = 500, 1000
+"""The most tracks that are held: further detections begin none, and a note says so. More detections of one sweep are
+refused."""
+
+_LONGEST_M = 30.0
+"""Longer boxes are left out, and a note says so."""
+
+_LATE_S = 0.5
+"""Detections late by up to this are left out; those from still longer ago begin a new recording."""
 
 _SAME_TIME_S = 0.02
 """A view further than this from the time of the detections is of another sweep."""
@@ -165,26 +175,6 @@ class Rules(Protocol):
         """False detections for one of an object."""
         ...
 
-    @property
-    def most_tracks(self) -> int:
-        """The most tracks that are held."""
-        ...
-
-    @property
-    def most_detections(self) -> int:
-        """The most detections of one sweep."""
-        ...
-
-    @property
-    def longest_m(self) -> float:
-        """The longest box that is taken for an object."""
-        ...
-
-    @property
-    def late_s(self) -> float:
-        """Detections late by up to this are left out; those from still longer ago begin a new recording."""
-        ...
-
     def look(self, tracks: TrackTable, view: View, dt_s: float) -> None:
         """Write what the view says of each track, and what ``dt_s`` seconds change."""
         ...
@@ -232,16 +222,12 @@ class ExistenceRules:
     vague_m: float = 2.5  # a track is not confirmed while the standard deviation of its place is larger
     lost_m: float = 6.0  # a track ends when the standard deviation of its place is larger
     spreads: bool = True  # ask the view at five places of a track's distribution where its mean is not enough
-    most_tracks: int = 500  # the most tracks that are held; further detections begin none, and a note says so
-    most_detections: int = 1000  # more of them in one sweep are refused
-    longest_m: float = 30.0  # longer boxes are left out, and a note says so
-    late_s: float = 0.5  # detections late by up to this are left out; those from still longer ago begin a new recording
 
     def __post_init__(self) -> None:
         for name in ("unseen_share", "seen_share", "recurrence", "most_found", "surest", "confirm_from", "drop_below"):
             if not 0.0 <= getattr(self, name) <= 1.0:
                 raise ValueError(f"{name} must lie in [0, 1], got {getattr(self, name)}")
-        for name in ("gate", "objects_per_m2", "false_odds", "lifetime_s", "vague_m", "lost_m", "longest_m"):
+        for name in ("gate", "objects_per_m2", "false_odds", "lifetime_s", "vague_m", "lost_m"):
             if not getattr(self, name) > 0.0:
                 raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
 
@@ -296,7 +282,7 @@ class ExistenceRules:
         What lies in the box of a track that was found in this sweep, or of a new one, is a part of it and begins none.
         """
         is_part = inside(born.boxes, tracks.boxes[tracks.detection >= 0]).any(axis=0)
-        begins = ~is_part & _first_of_doubles(born.boxes)
+        begins = ~is_part & no_part_of_earlier(inside(born.boxes, born.boxes))
         born, clutter = born.take(begins), self._clutter_per_m2(measured.take(begins))
         born.visible, born.detectable = view.visible(born.boxes), view.detectable(born.boxes, born.kinds)
         unseen = np.ones(len(born))
@@ -386,10 +372,10 @@ class Tracker:
         late = self._time_note(t_s, view, notes)
         if late is not None:
             return late
-        numbers = np.flatnonzero(detections.boxes[:, 3:6].max(axis=1, initial=0.0) <= rules.longest_m)
+        numbers = np.flatnonzero(detections.boxes[:, 3:6].max(axis=1, initial=0.0) <= _LONGEST_M)
         if len(numbers) < len(detections):
             refused = len(detections) - len(numbers)
-            notes.append(f"{refused} of {len(detections)} boxes left out: longer than {rules.longest_m:g} m")
+            notes.append(f"{refused} of {len(detections)} boxes left out: longer than {_LONGEST_M:g} m")
         measured = measured.take(numbers)
 
         # Predict, ask the view, and find which detection is whose.
@@ -412,9 +398,9 @@ class Tracker:
         if len(born):
             born = rules.begin(born, new, tracks, view, self._view)
         tracks = _kept(tracks, rules.keep(tracks, t_s))
-        capacity = max(rules.most_tracks - len(tracks), 0)
+        capacity = max(MOST_TRACKS - len(tracks), 0)
         if len(born) > capacity:
-            notes.append(f"{len(born) - capacity} new tracks refused: {rules.most_tracks} are held")
+            notes.append(f"{len(born) - capacity} new tracks refused: {MOST_TRACKS} are held")
             born = born.take(np.sort(np.argsort(-born.existence, kind="stable")[:capacity]))
         born.ids = np.arange(self._next_id, self._next_id + len(born))
         self._next_id += len(born)
@@ -430,11 +416,11 @@ class Tracker:
         self, t_s: float, detections: Detections, view: View, noise: F64 | None, false_odds: F64 | None
     ) -> Measured:
         """Return the detections with all that is known of them, or raise ValueError."""
-        count, most = len(detections), self.rules.most_detections
+        count = len(detections)
         if not np.isfinite(t_s):
             raise ValueError(f"t_s must be finite, got {t_s}")
-        if count > most:
-            raise ValueError(f"detections must be at most {most}, got {count}; this sweep is refused")
+        if count > MOST_DETECTIONS:
+            raise ValueError(f"detections must be at most {MOST_DETECTIONS}, got {count}; this sweep is refused")
         if not abs(view.t_s - t_s) <= _SAME_TIME_S:
             raise ValueError(f"view must be of the time of the detections, {t_s:.3f} s, got {view.t_s:.3f} s")
         known = view.false_odds(detections.boxes, detections.kinds) if false_odds is None else false_odds
@@ -460,7 +446,7 @@ class Tracker:
         if last is None:
             return None
         back_s = last.t_s - t_s
-        if 0.0 <= back_s <= self.rules.late_s:
+        if 0.0 <= back_s <= _LATE_S:
             what = "again" if back_s == 0.0 else f"{back_s:.3f} s late"
             return replace(
                 last, detection=np.full(len(last), -1, np.int32), notes=(f"a sweep {what}: its detections left out",)
@@ -562,39 +548,10 @@ def _densities(states: F64, covariances: F64, measured: Measured, motion: Motion
     return np.stack(densities)
 
 
-def _first_of_doubles(boxes: F64) -> NDArray[np.bool_]:
-    """Return the boxes (K,) whose center lies in none of those that are returned before them."""
-    is_double = np.triu(inside(boxes, boxes), k=1)
-    first = np.ones(len(boxes), np.bool_)
-    for k in np.flatnonzero(is_double.any(axis=0)):
-        first[k] = not (is_double[:k, k] & first[:k]).any()
-    return first
-
-
 def _shown(tracks: TrackTable, t_s: float, numbers: NDArray[np.intp], in_world: bool, notes: tuple[str, ...]) -> Tracks:
     """Return a copy of the tracks for others; their detections by the numbers that these came with."""
-    numbers = np.append(numbers, -1)
-    shown = Tracks(
-        t_s=t_s,
-        ids=tracks.ids.copy(),
-        states=tracks.states.copy(),
-        covariances=tracks.covariances.copy(),
-        boxes=tracks.boxes.copy(),
-        box_variances=tracks.box_variances.copy(),
-        kinds=tracks.kinds,
-        existence=tracks.existence.copy(),
-        confirmed=tracks.confirmed.copy(),
-        detection=numbers[tracks.detection].astype(np.int32),
-        visible=tracks.visible.copy(),
-        detectable=tracks.detectable.copy(),
-        born_s=tracks.born_s.copy(),
-        seen_s=tracks.seen_s.copy(),
-        born_hidden=tracks.born_hidden.copy(),
-        in_world=in_world,
-        notes=notes,
-    )
-    for each in fields(shown):
-        value = getattr(shown, each.name)
-        if each.name not in ("t_s", "in_world", "notes"):
-            value.setflags(write=False)
-    return shown
+    arrays: dict[str, NDArray[Any]] = {name: np.array(getattr(tracks, name)) for name in TRACK_ROWS}
+    arrays["detection"] = np.append(numbers, -1)[tracks.detection].astype(np.int32)
+    for array in arrays.values():
+        array.setflags(write=False)
+    return Tracks(t_s, **arrays, in_world=in_world, notes=notes)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from viewshed.arrays import F64
+from viewshed.arrays import F64, Mask
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -36,3 +37,18 @@ class Tracks:
     def __len__(self) -> int:
         """Return the number of tracks."""
         return len(self.ids)
+
+    def take(self, chosen: Mask | NDArray[np.intp]) -> Tracks:
+        """Return some tracks, by a mask (N,) or by their numbers."""
+        return replace(self, **{name: getattr(self, name)[chosen] for name in TRACK_ROWS})
+
+    def joined(self, others: Tracks) -> Tracks:
+        """Return these tracks and others of the same time after them."""
+        arrays: dict[str, Any] = {
+            name: np.concatenate([getattr(self, name), getattr(others, name)]) for name in TRACK_ROWS
+        }
+        return replace(self, **arrays)
+
+
+TRACK_ROWS = tuple(name for name in Tracks.__slots__ if name not in {"t_s", "in_world", "notes"})
+"""The arrays of ``Tracks`` with a row for each track."""

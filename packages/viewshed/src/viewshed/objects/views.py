@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from functools import lru_cache
 from typing import Protocol
@@ -25,9 +26,6 @@ Kinds = NDArray[np.uint8]
 
 DetectionProb = Callable[[F64, F64, Kinds], F64]
 """Probability (K,) that a detector finds objects, by expected returns (K,), range (K,) in meters and kind (K,)."""
-
-FalseOdds = Callable[[F64, Kinds], F64]
-"""False detections (K,) for one of an object, by range (K,) in meters and kind (K,)."""
 
 ALWAYS_FOUND = 0.9
 """Probability that a detector finds what is seen, for views that know no detector."""
@@ -75,132 +73,102 @@ class View(Protocol):
         ...
 
 
-class _NoOdds:
-    """Views that know no detector."""
+class _Looked(ABC):
+    """What views share that are looked up in ``level``; ones that know no detector find whatever is seen as surely."""
+
+    _detectable = ALWAYS_FOUND
+
+    def __init__(self, t_s: float, world_from_level: Rigid | None) -> None:
+        self.t_s, self.in_world = t_s, world_from_level is not None
+        self._level_from_tracks = Rigid.identity() if world_from_level is None else world_from_level.inverse()
+
+    @abstractmethod
+    def visible(self, boxes: F64) -> F64:
+        """Return the probability (K,) that an object in each box could be seen."""
+
+    def detectable(self, boxes: F64, kinds: Kinds) -> F64:
+        """Return the same probability (K,) for each box."""
+        return np.full(len(boxes), self._detectable)
 
     def false_odds(self, boxes: F64, kinds: Kinds) -> F64 | None:
         """Return None."""
         return None
-
-
-class SeesAll(_NoOdds):
-    """No field of view: all is visible, and yet whatever appears may have come unseen."""
-
-    def __init__(self, t_s: float, *, detectable: float = ALWAYS_FOUND, in_world: bool = True) -> None:
-        """Make the view of a sweep at ``t_s``."""
-        self.t_s, self.in_world, self._detectable = t_s, in_world, detectable
-
-    def visible(self, boxes: F64) -> F64:
-        """Return ones (K,)."""
-        return np.ones(len(boxes))
-
-    def detectable(self, boxes: F64, kinds: Kinds) -> F64:
-        """Return the same probability (K,) for each box."""
-        return np.full(len(boxes), self._detectable)
-
-    def hides_near(self, boxes: F64, within_m: F64) -> F64:
-        """Return ones (K,)."""
-        return np.ones(len(boxes))
-
-
-class PolygonView(_NoOdds):
-    """The published question: does the polygon cover the center?"""
-
-    def __init__(
-        self, polygon: BaseGeometry, world_from_level: Rigid | None, t_s: float, detectable: float = ALWAYS_FOUND
-    ) -> None:
-        """Make the view of a sweep from a polygon in its ``level`` frame.
-
-        Args:
-            polygon: what is visible.
-            world_from_level: pose of the sweep; None leaves the tracks in ``level``.
-            t_s: time of the sweep.
-            detectable: probability that an object in view is found.
-        """
-        self.t_s, self.in_world = t_s, world_from_level is not None
-        self._level_from_tracks = _level_from_tracks(world_from_level)
-        self._polygon, self._detectable = polygon, detectable
-        shapely.prepare(polygon)
-
-    @classmethod
-    def of(cls, estimate: FovEstimate, t_s: float, detectable: float = ALWAYS_FOUND) -> PolygonView:
-        """Return the view of an estimate's polygon: exactly its visible cells."""
-        return cls(estimate.polygon(), estimate.world_from_level, t_s, detectable)
-
-    def visible(self, boxes: F64) -> F64:
-        """Return 1 (K,) where the polygon covers the center, else 0."""
-        level = moved_boxes(boxes, self._level_from_tracks)
-        return np.asarray(shapely.contains_xy(self._polygon, level[:, 0], level[:, 1]), np.float64)
-
-    def detectable(self, boxes: F64, kinds: Kinds) -> F64:
-        """Return the same probability (K,) for each box."""
-        return np.full(len(boxes), self._detectable)
-
-    def hides_near(self, boxes: F64, within_m: F64) -> F64:
-        """Return 1 (K,) where the polygon ends within (K,) meters, else 0."""
-        return hidden_within(self, boxes, within_m)
-
-
-class GridView(_NoOdds):
-    """An estimate of the field of view, looked up in front of an object: what stands in a cell hides that cell.
-
-    Five lines of sight across the box are followed to its near side, and one cell back; the object is as visible as the
-    mean of these cells.
-    """
-
-    def __init__(self, estimate: FovEstimate, t_s: float, detectable: float = ALWAYS_FOUND) -> None:
-        """Make the view of an estimate; where it has no pose, tracks are in its ``level`` frame.
-
-        Args:
-            estimate: of the sweep's field of view.
-            t_s: time of the sweep.
-            detectable: probability that an object in view is found.
-        """
-        self.t_s, self.in_world = t_s, estimate.world_from_level is not None
-        self._level_from_tracks = _level_from_tracks(estimate.world_from_level)
-        self._estimate, self._detectable = estimate, detectable
-
-    def visible(self, boxes: F64) -> F64:
-        """Return the probability (K,) of the cells before each box; 0 outside the grid."""
-        level, grid = moved_boxes(boxes, self._level_from_tracks), self._estimate.grid
-        return _core.visible_before(self._estimate.visible_prob, *grid.origin_m, grid.cell_m, level)
-
-    def detectable(self, boxes: F64, kinds: Kinds) -> F64:
-        """Return the same probability (K,) for each box."""
-        return np.full(len(boxes), self._detectable)
 
     def hides_near(self, boxes: F64, within_m: F64) -> F64:
         """Return the greatest probability (K,) of not being seen within (K,) meters of each box."""
         return hidden_within(self, boxes, within_m)
 
 
-class BeamView:
+class SeesAll(_Looked):
+    """No field of view: all is visible, and yet whatever appears may have come unseen."""
+
+    def __init__(self, t_s: float, *, detectable: float = ALWAYS_FOUND, in_world: bool = True) -> None:
+        """Make the view of a sweep at ``t_s``."""
+        super().__init__(t_s, Rigid.identity() if in_world else None)
+        self._detectable = detectable
+
+    def visible(self, boxes: F64) -> F64:
+        """Return ones (K,)."""
+        return np.ones(len(boxes))
+
+    def hides_near(self, boxes: F64, within_m: F64) -> F64:
+        """Return ones (K,)."""
+        return np.ones(len(boxes))
+
+
+class PolygonView(_Looked):
+    """The published question: does the polygon cover the center?"""
+
+    def __init__(self, polygon: BaseGeometry, world_from_level: Rigid | None, t_s: float) -> None:
+        """Make the view of a sweep from a polygon in its ``level`` frame; without a pose tracks are in ``level``."""
+        super().__init__(t_s, world_from_level)
+        self._polygon = polygon
+        shapely.prepare(polygon)
+
+    @classmethod
+    def of(cls, estimate: FovEstimate, t_s: float) -> PolygonView:
+        """Return the view of an estimate's polygon: exactly its visible cells."""
+        return cls(estimate.polygon(), estimate.world_from_level, t_s)
+
+    def visible(self, boxes: F64) -> F64:
+        """Return 1 (K,) where the polygon covers the center, else 0."""
+        level = moved_boxes(boxes, self._level_from_tracks)
+        return np.asarray(shapely.contains_xy(self._polygon, level[:, 0], level[:, 1]), np.float64)
+
+
+class GridView(_Looked):
+    """An estimate of the field of view, looked up in front of an object: what stands in a cell hides that cell.
+
+    Five lines of sight across the box are followed to its near side, and one cell back; the object is as visible as the
+    mean of these cells.
+    """
+
+    def __init__(self, estimate: FovEstimate, t_s: float) -> None:
+        """Make the view of an estimate at ``t_s``; where it has no pose, tracks are in its ``level`` frame."""
+        super().__init__(t_s, estimate.world_from_level)
+        self._estimate = estimate
+
+    def visible(self, boxes: F64) -> F64:
+        """Return the probability (K,) of the cells before each box; 0 outside the grid."""
+        level, grid = moved_boxes(boxes, self._level_from_tracks), self._estimate.grid
+        return _core.visible_before(self._estimate.visible_prob, *grid.origin_m, grid.cell_m, level)
+
+
+class BeamView(_Looked):
     """The beams of the sweep: how many would meet a box if its own returns were not there."""
 
-    def __init__(
-        self,
-        leveled: LeveledSweep,
-        t_s: float,
-        *,
-        found: DetectionProb | None = None,
-        odds: FalseOdds | None = None,
-    ) -> None:
+    def __init__(self, leveled: LeveledSweep, t_s: float, *, found: DetectionProb | None = None) -> None:
         """Make the view of a leveled sweep; where it has no pose, tracks are in its ``level`` frame.
 
         Args:
             leveled: the sweep.
             t_s: its time.
             found: probability that the detector finds an object, from expected returns, range and kind; None is that
-                of the package's detector.
-            odds: false detections of that detector, from range and kind; None is that of the package's detector too,
-                or where ``found`` is given unknown. A view without them is worse than none: it believes clutter.
+                of the package's detector. Of another one false detections are not known: it believes clutter.
         """
-        world_from_level = leveled.world_from_level
-        self.t_s, self.in_world = t_s, world_from_level is not None
-        table = detection_table()
-        self._odds = table.false_odds if found is None and odds is None else odds
-        self._leveled, self._found = leveled, found or table.prob
-        self._level_from_tracks = _level_from_tracks(world_from_level)
+        super().__init__(t_s, leveled.world_from_level)
+        self._table = detection_table() if found is None else None
+        self._leveled, self._found = leveled, found or detection_table().prob
         self._counted = np.zeros((0, 7)), np.zeros(0)
 
     def visible(self, boxes: F64) -> F64:
@@ -219,14 +187,10 @@ class BeamView:
 
     def false_odds(self, boxes: F64, kinds: Kinds) -> F64 | None:
         """Return the number (K,) of false detections like each for one of an object."""
-        if self._odds is None:
+        if self._table is None:
             return None
         level = moved_boxes(boxes, self._level_from_tracks)
-        return self._odds(np.hypot(level[:, 0], level[:, 1]), kinds)
-
-    def hides_near(self, boxes: F64, within_m: F64) -> F64:
-        """Return the greatest probability (K,) of not being seen within (K,) meters of each box."""
-        return hidden_within(self, boxes, within_m)
+        return self._table.false_odds(np.hypot(level[:, 0], level[:, 1]), kinds)
 
     def _counts(self, level: F64) -> F64:
         """Return the expected returns (K,); a tracker needs the same boxes twice, whether seen and whether found."""
@@ -265,7 +229,3 @@ def _places(rings: int) -> F64:
     angles = np.concatenate([2 * np.pi * np.arange(6 * k) / (6 * k) for k in numbers])
     around = radii[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
     return np.concatenate([np.zeros((1, 2)), around])
-
-
-def _level_from_tracks(world_from_level: Rigid | None) -> Rigid:
-    return Rigid.identity() if world_from_level is None else world_from_level.inverse()

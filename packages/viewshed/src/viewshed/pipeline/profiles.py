@@ -16,7 +16,7 @@ class Profile:
         ValueError: a number is negative.
     """
 
-    method: str  # name of an estimator
+    method: str | None  # name of an estimator; None for the usual one
     grid: str  # name in :data:`viewshed.grid.GRIDS`
     history: int  # earlier sweeps of a sensor that help, where poses are known
     monitor: bool  # whether the stream is watched

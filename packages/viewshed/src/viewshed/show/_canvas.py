@@ -62,11 +62,10 @@ class Canvas:
         """Rows of pixels."""
         return self._image.height
 
-    def paste(self, other: Canvas, left: int, top: int, frame: bool = True) -> None:
+    def paste(self, other: Canvas, left: int, top: int) -> None:
         """Put another page onto this one, with a line around it."""
         right, bottom = left + other.width, top + other.height
-        if frame:
-            ImageDraw.Draw(self._image).rectangle((left - 1, top - 1, right, bottom), outline=self.ink)
+        ImageDraw.Draw(self._image).rectangle((left - 1, top - 1, right, bottom), outline=self.ink)
         self._image.paste(other._image, (left, top))
 
     def text(self, at: tuple[float, float], words: str, points: float, anchor: str = "ls", bold: bool = False) -> None:
@@ -78,13 +77,13 @@ class Canvas:
         left, top, right, bottom = (round(edge) for edge in box)
         ImageDraw.Draw(self._image).rectangle((left, top, right - 1, bottom - 1), color, outline)
 
-    def veil(self, box: Box, radius: float = 0.0, opacity: float = 0.85) -> None:
+    def veil(self, box: Box, radius: float = 0.0) -> None:
         """Lay a rectangle of white, with round corners and what lies below shining through, under words."""
         left, top, right, bottom = (round(edge) for edge in box)
         width, height = right - left, bottom - top
         mask = Image.new("L", (width * _SMOOTH, height * _SMOOTH))
         corners = (0, 0, width * _SMOOTH - 1, height * _SMOOTH - 1)
-        ImageDraw.Draw(mask).rounded_rectangle(corners, radius * _SMOOTH, round(255 * opacity))
+        ImageDraw.Draw(mask).rounded_rectangle(corners, radius * _SMOOTH, round(255 * 0.85))
         self._image.paste(WHITE, (left, top), mask.resize((width, height), Image.Resampling.BOX))
 
     def polygon(self, corners: Sequence[tuple[float, float]], color: Color, grow: float = 0.0) -> None:

@@ -109,7 +109,7 @@ def picture(panel: Panel, dark: bool = False) -> bytes:
     page = Canvas.blank(side + 104, side + top + 72, dark)
     page.paste(_map(panel, side), 20, top)
     _title(page, lines, 20, top, 10)
-    _legend(page, 2, {state: f"{panel.estimate.share(state):.0%} " for state in CellState})
+    _legend(page, 2, panel.estimate)
     if panel.leveled is not None:
         _height_bar(page, side + 46, top + 198, 18, 360)
     return page.png()
@@ -139,7 +139,7 @@ def maps_picture(panel: Panel, dark: bool = False) -> bytes:
         _color_bar(page, colors, _ticks(top), top, (left + small + 10, upper, 14, small))
     if panel.leveled is not None:
         _height_line(page, page.height - 82)
-    _legend(page, 2, {state: f"{estimate.share(state):.0%} " for state in CellState})
+    _legend(page, 2, estimate)
     return page.png()
 
 
@@ -191,7 +191,7 @@ def monitor_picture(
     # 3. The reasons, the strongest first.
     for number, line in enumerate(reasons):
         page.text((side + 40, table_bottom + 44 + _LINE * number), line, 9)
-    _legend(page, 4, {state: f"{panel.estimate.share(state):.0%} " for state in CellState})
+    _legend(page, 4, panel.estimate)
     return page.png()
 
 
@@ -308,7 +308,7 @@ def _paint_points(image: Pixels, leveled: LeveledSweep, fine: BevGrid) -> None:
     cells, inside = fine.index(leveled.points[order])
     height_m = leveled.height_m[order][inside]
     i, j = cells[inside].T
-    colors = _height_colors()[(np.clip((height_m - low) / (high - low), 0, 1) * 255).astype(np.intp)]
+    colors = color_map("viridis")[(np.clip((height_m - low) / (high - low), 0, 1) * 255).astype(np.intp)]
     image[i, j] = colors
     if len(image) < _LARGE:
         return
@@ -316,10 +316,6 @@ def _paint_points(image: Pixels, leveled: LeveledSweep, fine: BevGrid) -> None:
     last = len(image) - 1
     for di, dj in ((0, 1), (1, 0), (1, 1)):
         image[np.minimum(i[tall] + di, last), np.minimum(j[tall] + dj, last)] = colors[tall]
-
-
-def _height_colors() -> Pixels:
-    return color_map("viridis")
 
 
 @lru_cache(maxsize=3)
@@ -395,9 +391,9 @@ def _table(
                 page.text((right - 10, below - 9), row[j], 9, "rs")
 
 
-def _legend(page: Canvas, columns: int, shares: dict[CellState, str] | None = None) -> None:
-    """Draw what the colors of the states mean at the foot of the page; on narrow pages in two columns."""
-    entries = [(state, (shares or {}).get(state, "") + words) for state, words in WORDS.items()]
+def _legend(page: Canvas, columns: int, of: FovEstimate | None = None) -> None:
+    """Draw what the colors of the states mean, and their shares, at the foot of the page; if narrow in two columns."""
+    entries = [(state, words if of is None else f"{of.share(state):.0%} {words}") for state, words in WORDS.items()]
     widest = max(text_width(words, 8.0) for _, words in entries)
     if columns * (widest + 52) > page.width:
         columns = 2

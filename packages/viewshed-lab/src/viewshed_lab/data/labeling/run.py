@@ -13,7 +13,7 @@ from typing import Any
 from viewshed.io import IndexEntry, read_index, read_indexed
 from viewshed.preprocess.sensor_identification import infer_sensor
 from viewshed.recordings.read import open_source
-from viewshed.recordings.read.source import RecordingSource, SweepReader, SweepRef, SweepSource
+from viewshed.recordings.read.source import RecordingSource, SweepRef, SweepSource
 from viewshed.sensors import LidarModel, lidar_model
 from viewshed.sweep import Sweep
 from viewshed_lab._jobs import Engine
@@ -177,20 +177,20 @@ def _open_index(index: str) -> SweepSource:
         raise ValueError(f"{index} must name at least one sweep, got none")
     for entries in drives.values():
         entries.sort(key=lambda entry: (entry.t or 0.0, str(entry.file)))
-    return RecordingSource(place, _Index(drives))
+    return _Index(place, drives)
 
 
-class _Index(SweepReader):
+class _Index(RecordingSource):
     """The sweeps of an index by drive."""
 
-    def __init__(self, drives: Mapping[str, Sequence[IndexEntry]]) -> None:
-        self._drives = drives
-        self.scenes: dict[str, list[SweepRef]] = {scene: [] for scene in drives}
+    def __init__(self, place: Path, drives: Mapping[str, Sequence[IndexEntry]]) -> None:
+        self.place, self._drives = place, drives
+        self.sweeps: dict[str, list[SweepRef]] = {scene: [] for scene in drives}
         for scene, entries in drives.items():
             for k, entry in enumerate(entries):
                 t_ns = None if entry.t is None else round(entry.t * 1e6) * 1000
-                self.scenes[scene].append(SweepRef(scene, k, str(entry.file), t_ns, key=str(k)))
+                self.sweeps[scene].append(SweepRef(scene, k, str(entry.file), t_ns, key=str(k)))
 
-    def read(self, ref: SweepRef) -> Sweep:
+    def _read(self, ref: SweepRef) -> Sweep:
         """Return a sweep with what the index tells about it."""
         return read_indexed(self._drives[ref.scene][ref.index])

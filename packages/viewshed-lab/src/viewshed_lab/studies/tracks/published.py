@@ -53,16 +53,11 @@ class PublishedRules:
     # False is the published bug: a view that covers no track counts as one that covers all
     repairs_empty_view: bool = False
     false_odds: float = 1.0  # is not used
-    # most_tracks, most_detections, longest_m, late_s: as of ``ExistenceRules``; the published code has no limits
-    most_tracks: int = 500
-    most_detections: int = 1000
-    longest_m: float = 30.0
-    late_s: float = 0.5
 
     def __post_init__(self) -> None:
         if self.cost not in ("overlap", "center"):
             raise ValueError(f"cost must be overlap or center, got {self.cost!r}")
-        for name in ("radius_m", "coast_s", "fastest_mps", "longest_m"):
+        for name in ("radius_m", "coast_s", "fastest_mps"):
             if not getattr(self, name) > 0.0:
                 raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
 

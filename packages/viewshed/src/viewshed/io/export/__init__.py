@@ -39,14 +39,13 @@ __all__ = [
 class Exporter:
     """How one format is made."""
 
-    function: Callable[[FovEstimate], dict[str, Any] | bytes]  # estimate to a JSON-serializable dictionary, or to bytes
+    # estimate to a JSON-serializable dictionary, to bytes, or to a YAML file without its first line, which names the
+    # picture beside it, and this picture
+    function: Callable[..., dict[str, Any] | bytes | tuple[bytes, bytes]]
     suffix: str  # usual end of a file's name
     mark: bytes  # what the first bytes of its files hold, and those of no other format
     states: str  # how the four cell states map
-    # the same with the name of the reference system of the world frame; None where the format has none
-    in_crs: Callable[[FovEstimate, str], dict[str, Any] | bytes] | None = None
-    # picture that lies beside a YAML file, which begins with its name; None where there is none
-    image: Callable[[FovEstimate], bytes] | None = None
+    has_crs: bool = False  # whether ``function`` takes the reference system of the world frame as ``crs``
 
     def check_crs(self, crs: str | None) -> None:
         """Check that the format can lie in a reference system.
@@ -56,8 +55,8 @@ class Exporter:
         """
         if crs is None:
             return
-        if self.in_crs is None:
-            placed = [known for known, exporter in EXPORTERS.items() if exporter.in_crs is not None]
+        if not self.has_crs:
+            placed = [known for known, exporter in EXPORTERS.items() if exporter.has_crs]
             raise ValueError(f"crs goes with {' and '.join(placed)}, got {crs!r} for {self.suffix}; leave it out")
         crs_of(crs)
 
@@ -68,25 +67,18 @@ class Exporter:
             ValueError: a reference system is named for a format without one, or the estimate has no pose in it.
         """
         self.check_crs(crs)
-        made = self.function(estimate) if crs is None or self.in_crs is None else self.in_crs(estimate, crs)
-        content = made if isinstance(made, bytes) else json.dumps(made, allow_nan=False).encode()
-        if self.image is None:
-            return {name: content}
-        picture = name.removesuffix(".yaml") + ".pgm"
-        return {picture: self.image(estimate), name: f"image: {json.dumps(picture)}\n".encode() + content}
+        made = self.function(estimate) if crs is None else self.function(estimate, crs=crs)
+        if isinstance(made, tuple):
+            picture = name.removesuffix(".yaml") + ".pgm"
+            return {picture: made[1], name: f"image: {json.dumps(picture)}\n".encode() + made[0]}
+        return {name: made if isinstance(made, bytes) else json.dumps(made, allow_nan=False).encode()}
 
 
 EXPORTERS: dict[str, Exporter] = {
-    "geojson": Exporter(
-        to_geojson,
-        ".geojson",
-        b'{"type": "FeatureCollection"',
-        geojson.STATES,
-        lambda estimate, crs: to_geojson(estimate, crs=crs),
-    ),
-    "geotiff": Exporter(to_geotiff, ".tif", b"II*\0", geotiff.STATES, to_geotiff),
-    "nav2_map": Exporter(nav2.map_yaml, ".nav2_map.yaml", b"mode: trinary", nav2.MAP_STATES, image=nav2.map_image),
-    "nav2_mask": Exporter(nav2.mask_yaml, ".nav2_mask.yaml", b"mode: raw", nav2.MASK_STATES, image=nav2.mask_image),
+    "geojson": Exporter(to_geojson, ".geojson", b'{"type": "FeatureCollection"', geojson.STATES, has_crs=True),
+    "geotiff": Exporter(to_geotiff, ".tif", b"II*\0", geotiff.STATES, has_crs=True),
+    "nav2_map": Exporter(nav2.to_map, ".nav2_map.yaml", b"mode: trinary", nav2.MAP_STATES),
+    "nav2_mask": Exporter(nav2.to_mask, ".nav2_mask.yaml", b"mode: raw", nav2.MASK_STATES),
     "occupancy_grid": Exporter(to_occupancy_grids, ".occupancy_grid.json", b'{"occupancy"', ros.OCCUPANCY_STATES),
     "grid_map": Exporter(to_grid_map, ".grid_map.json", b'{"header"', ros.GRID_MAP_STATES),
     "osi": Exporter(to_osi, ".osi.json", b'{"frame"', osi.STATES),

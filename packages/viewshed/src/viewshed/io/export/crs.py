@@ -52,24 +52,24 @@ def crs_named(name: str, pose: Rigid | None) -> CRS:
             f"an estimate in {name} must have a pose in it, got none; give --poses or an --index with"
             " world_from_sensor, or for points in map coordinates --origin"
         )
-    _moved(pose.translation[None, :2], system, _WGS84)
+    _in_degrees(pose.translation[None, :2], system)
     return system
 
 
 def to_wgs84(polygon: BaseGeometry, system: CRS) -> BaseGeometry:
     """Return a polygon in meters of a reference system with its vertices as longitude and latitude in degrees."""
-    return shapely.transform(polygon, lambda xy: _moved(xy, system, _WGS84))
+    return shapely.transform(polygon, lambda xy: _in_degrees(xy, system))
 
 
-def _moved(xy: NDArray[np.float64], source: CRS | str, target: CRS | str) -> NDArray[np.float64]:
-    """Return points (N, 2) of one reference system in another one."""
+def _in_degrees(xy: NDArray[np.float64], source: CRS) -> NDArray[np.float64]:
+    """Return points (N, 2) of a reference system as longitude and latitude."""
     from rasterio import Env
     from rasterio._err import CPLE_BaseError
     from rasterio.warp import transform
 
     try:
         with Env():
-            moved = np.column_stack(transform(source, target, xy[:, 0], xy[:, 1])) if len(xy) else xy
+            moved = np.column_stack(transform(source, _WGS84, xy[:, 0], xy[:, 1])) if len(xy) else xy
     except CPLE_BaseError:
         moved = np.full((1, 2), np.nan)
     if not np.isfinite(moved).all():

@@ -12,7 +12,6 @@ from shapely.geometry.base import BaseGeometry
 
 from viewshed.fov.estimate import CellState, FovEstimate
 from viewshed.fov.polygons import local_crs, polygon_of_mask
-from viewshed.geometry import Rigid
 from viewshed.io.export.crs import crs_named, to_wgs84
 
 if TYPE_CHECKING:
@@ -70,7 +69,10 @@ def to_geojson(estimate: FovEstimate, threshold: float | None = None, *, crs: st
 def _feature(layer: str, mask: Any, estimate: FovEstimate, threshold: float, system: CRS | None) -> dict[str, Any]:
     polygon = polygon_of_mask(mask, estimate.grid)
     pose = estimate.world_from_level
-    placed: BaseGeometry = polygon if pose is None else affine_transform(polygon, _flat(pose))
+    placed: BaseGeometry = polygon
+    if pose is not None:
+        c, s, (x_m, y_m) = float(np.cos(pose.yaw)), float(np.sin(pose.yaw)), pose.translation[:2].tolist()
+        placed = affine_transform(polygon, [c, -s, s, c, x_m, y_m])
     placed = placed if system is None else to_wgs84(placed, system)
     return {
         "type": "Feature",
@@ -86,9 +88,3 @@ def _feature(layer: str, mask: Any, estimate: FovEstimate, threshold: float, sys
             **({} if estimate.basis is None else asdict(estimate.basis)),
         },
     }
-
-
-def _flat(pose: Rigid) -> list[float]:
-    """Return the six numbers of the pose's x, y and yaw that shapely wants."""
-    c, s = float(np.cos(pose.yaw)), float(np.sin(pose.yaw))
-    return [c, -s, s, c, float(pose.translation[0]), float(pose.translation[1])]

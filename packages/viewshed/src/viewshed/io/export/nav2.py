@@ -35,26 +35,23 @@ _TRINARY_PIXELS = np.array([205, 254, 0, 205], np.uint8)
 _UNKNOWN_PIXEL = 255
 
 
-def map_yaml(estimate: FovEstimate) -> bytes:
-    """Return the YAML of a map, without the line that names its picture."""
-    return _yaml(_placed_grid(estimate), _TRINARY)
+def to_map(estimate: FovEstimate) -> tuple[bytes, bytes]:
+    """Return a map as YAML without the line that names its picture, and the picture.
+
+    The picture is a PGM: 254 where FREE, 0 where SURFACE, 205 where HIDDEN or UNKNOWN.
+    """
+    grid, state = _placed(estimate, estimate.state.astype(np.int8))
+    pixels = _TRINARY_PIXELS[np.where(state == NOTHING_KNOWN, np.int8(CellState.UNKNOWN), state)]
+    return _yaml(grid, _TRINARY), _pgm(pixels)
 
 
-def map_image(estimate: FovEstimate) -> bytes:
-    """Return the PGM of a map: 254 where FREE, 0 where SURFACE, 205 where HIDDEN or UNKNOWN."""
-    state = _placed(estimate, estimate.state.astype(np.int8))
-    return _pgm(_TRINARY_PIXELS[np.where(state == NOTHING_KNOWN, np.int8(CellState.UNKNOWN), state)])
+def to_mask(estimate: FovEstimate) -> tuple[bytes, bytes]:
+    """Return a mask for the KeepoutFilter as YAML without the line that names its picture, and the picture.
 
-
-def mask_yaml(estimate: FovEstimate) -> bytes:
-    """Return the YAML of a mask, without the line that names its picture."""
-    return _yaml(_placed_grid(estimate), _RAW)
-
-
-def mask_image(estimate: FovEstimate) -> bytes:
-    """Return the PGM of a mask for the KeepoutFilter, by :func:`keepout_values`; 255 where nothing is claimed."""
-    values = _placed(estimate, keepout_values(estimate))
-    return _pgm(np.where(values == NOTHING_KNOWN, _UNKNOWN_PIXEL, values).astype(np.uint8))
+    The picture is a PGM of :func:`keepout_values`, 255 where nothing is claimed.
+    """
+    grid, values = _placed(estimate, keepout_values(estimate))
+    return _yaml(grid, _RAW), _pgm(np.where(values == NOTHING_KNOWN, _UNKNOWN_PIXEL, values).astype(np.uint8))
 
 
 def keepout_values(estimate: FovEstimate) -> NDArray[np.int8]:
@@ -91,15 +88,10 @@ def grid_in_the_map(grid: BevGrid, world_from_level: Rigid) -> BevGrid:
     return BevGrid(grid.cells, grid.half_extent_m, (on_raster[0], on_raster[1]))
 
 
-def _placed(estimate: FovEstimate, values: NDArray[np.int8]) -> NDArray[np.int8]:
-    """Return values (cells, cells) along the axes of the map where the estimate has a pose, else of ``level``."""
+def _placed(estimate: FovEstimate, values: NDArray[np.int8]) -> tuple[BevGrid, NDArray[np.int8]]:
+    """Return grid and values (cells, cells) along the axes of the map, or of ``level`` without a pose."""
     pose = estimate.world_from_level
-    return values if pose is None else in_the_map(values, estimate.grid, pose)[1]
-
-
-def _placed_grid(estimate: FovEstimate) -> BevGrid:
-    pose = estimate.world_from_level
-    return estimate.grid if pose is None else grid_in_the_map(estimate.grid, pose)
+    return (estimate.grid, values) if pose is None else in_the_map(values, estimate.grid, pose)
 
 
 def _yaml(grid: BevGrid, mode: str) -> bytes:

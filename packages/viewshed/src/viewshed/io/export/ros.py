@@ -52,8 +52,8 @@ def to_occupancy_grids(estimate: FovEstimate) -> dict[str, Any]:
     return {layer: to_occupancy_grid(estimate, layer) for layer in ("occupancy", "state", "visibility")}
 
 
-_STATE_VALUES = np.array([-1, 0, 100, 50], np.int8)
-"""Of the layer ``state``, by :class:`CellState`: HIDDEN differs from UNKNOWN."""
+_OCCUPANCY_VALUES, _STATE_VALUES = np.array([-1, 0, 100, -1], np.int8), np.array([-1, 0, 100, 50], np.int8)
+"""Of the layers ``occupancy`` and ``state``, by :class:`CellState`: in the second HIDDEN differs from UNKNOWN."""
 
 
 def visibility_layer(estimate: FovEstimate, name: str) -> NDArray[np.int8]:
@@ -69,28 +69,15 @@ def visibility_layer(estimate: FovEstimate, name: str) -> NDArray[np.int8]:
         ValueError: there is no such layer.
     """
     match name:
-        case "visibility":
-            return _visibility(estimate)
-        case "occupancy":
-            return _occupancy(estimate)
         case "state":
             return _STATE_VALUES[estimate.state]
-        case "doubt":
-            percent = np.rint(100.0 * estimate.doubt()).astype(np.int8)
+        case "occupancy":
+            return _OCCUPANCY_VALUES[estimate.state]
+        case "visibility" | "doubt":
+            shares = estimate.doubt() if name == "doubt" else estimate.visible_prob
+            percent = np.rint(100.0 * shares).astype(np.int8)
             return np.where(estimate.state == CellState.UNKNOWN, np.int8(-1), percent)
     raise ValueError(f"layer must be occupancy, visibility, state or doubt, got {name!r}")
-
-
-def _occupancy(estimate: FovEstimate) -> NDArray[np.int8]:
-    values = np.full(estimate.grid.shape, -1, np.int8)
-    values[estimate.state == CellState.FREE] = 0
-    values[estimate.state == CellState.SURFACE] = 100
-    return values
-
-
-def _visibility(estimate: FovEstimate) -> NDArray[np.int8]:
-    percent = np.rint(100.0 * estimate.visible_prob).astype(np.int8)
-    return np.where(estimate.state == CellState.UNKNOWN, np.int8(-1), percent)
 
 
 def to_grid_map(estimate: FovEstimate) -> dict[str, Any]:

@@ -10,8 +10,8 @@ from collections.abc import Sequence
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from viewshed.io.messages.packets import Packet, Scan, check_count
 from viewshed.sensors import lidar_model
 from viewshed.sweep import Sweep
 
@@ -26,28 +26,17 @@ _TABLES = {(16, 8): "xt16", (32, 8): "xt32", (64, 4): "qt64"}
 _TOP_FIRST = ("xt16", "xt32")
 """Sensors that number their lasers from the highest."""
 
-_PACKETS_MAX = 4096
 
-
-class Time(Protocol):
-    """A stamp: seconds since 1970, and nanoseconds."""
-
-    sec: int
-    nanosec: int
-
-
-class PandarPacket(Protocol):
-    """One packet of a scan: when it came, its bytes, and how many of them count."""
-
-    stamp: Time
-    data: NDArray[np.uint8]
-    size: int
-
-
-class PandarScan(Protocol):
-    """The part of the message that is read."""
+class PandarScan(Scan, Protocol):
+    """The part of the message that is read; ``size`` says how many bytes of a packet count."""
 
     packets: Sequence[PandarPacket]
+
+
+class PandarPacket(Packet, Protocol):
+    """One packet of a scan."""
+
+    size: int
 
 
 def sweep_of_hesai(scan: PandarScan) -> Sweep:
@@ -60,8 +49,7 @@ def sweep_of_hesai(scan: PandarScan) -> Sweep:
     Raises:
         ValueError: there is no packet, one is cut off or of another sensor, or they are of different ones.
     """
-    if not 0 < len(scan.packets) <= _PACKETS_MAX:
-        raise ValueError(f"a scan must have 1 to {_PACKETS_MAX} packets, got {len(scan.packets)}")
+    check_count(scan)
     payloads = [bytes(each.data[: each.size]) for each in scan.packets]
     lasers, blocks, unit_mm = _layout(payloads[0])
     length = _HEADER_BYTES + blocks * (2 + 4 * lasers) + _TAIL_BYTES

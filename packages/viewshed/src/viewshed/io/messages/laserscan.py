@@ -120,7 +120,9 @@ def _check(scan: LaserScan, ranges: NDArray[np.float32], intensity: NDArray[np.f
         raise ValueError(f"ranges must be (N,), at most {MAX_POINTS} of them, got shape {ranges.shape}")
     if intensity.shape not in ((0,), ranges.shape):
         raise ValueError(f"intensities must be as many as ranges, or none, got {intensity.size} of {ranges.size}")
-    _check_finite(scan, "angle_min", "angle_max", "angle_increment", "time_increment", "range_min")
+    for name in ("angle_min", "angle_max", "angle_increment", "time_increment", "range_min"):
+        if not np.isfinite(getattr(scan, name)):
+            raise ValueError(f"{name} must be finite, got {getattr(scan, name):g}")
     if not 0 <= scan.range_min < scan.range_max:  # also where the maximum is no number
         raise ValueError(f"range_min and range_max must be limits, got {scan.range_min:g} and {scan.range_max:g} m")
     step, steps = abs(scan.angle_increment), max(ranges.size - 1, 0)
@@ -137,9 +139,3 @@ def _check(scan: LaserScan, ranges: NDArray[np.float32], intensity: NDArray[np.f
         )
     if abs(scan.time_increment) * steps > REVOLUTION_S:
         raise ValueError(f"a scan must take at most {REVOLUTION_S:g} s, got {scan.time_increment * steps:g} s")
-
-
-def _check_finite(scan: Any, *names: str) -> None:
-    for name in names:
-        if not np.isfinite(getattr(scan, name)):
-            raise ValueError(f"{name} must be finite, got {getattr(scan, name):g}")

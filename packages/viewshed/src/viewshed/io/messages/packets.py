@@ -30,17 +30,23 @@ class Time(Protocol):
     nanosec: int
 
 
-class VelodynePacket(Protocol):
-    """One packet of a scan: when it came, and its 1206 bytes."""
+class Packet(Protocol):
+    """One packet of a scan: when it came, and its bytes, 1206 of a Velodyne's."""
 
     stamp: Time
     data: NDArray[np.uint8]
 
 
-class VelodyneScan(Protocol):
-    """The parts of the message that are read."""
+class Scan(Protocol):
+    """The part that is read of a message with the packets of about one revolution."""
 
-    packets: Sequence[VelodynePacket]
+    packets: Sequence[Packet]
+
+
+def check_count(scan: Scan) -> None:
+    """Raise a ValueError unless a scan has a packet, and no more than a revolution has."""
+    if not 0 < len(scan.packets) <= _PACKETS_MAX:
+        raise ValueError(f"a scan must have 1 to {_PACKETS_MAX} packets, got {len(scan.packets)}")
 
 
 class PacketMsg(Protocol):
@@ -49,7 +55,7 @@ class PacketMsg(Protocol):
     buf: NDArray[np.uint8]
 
 
-def sweep_of_velodyne(scan: VelodyneScan) -> Sweep:
+def sweep_of_velodyne(scan: Scan) -> Sweep:
     """Return the sweep of a message, which holds the packets of about one revolution.
 
     What it holds beyond one turn is left out.
@@ -58,9 +64,8 @@ def sweep_of_velodyne(scan: VelodyneScan) -> Sweep:
         ValueError: there is no packet, one is no data packet, or they are of different or unknown models.
         ImportError: velodyne-decoder is not installed.
     """
+    check_count(scan)
     packets = [(each.stamp.sec + each.stamp.nanosec * 1e-9, bytes(each.data)) for each in scan.packets]
-    if not 0 < len(packets) <= _PACKETS_MAX:
-        raise ValueError(f"a scan must have 1 to {_PACKETS_MAX} packets, got {len(packets)}")
     strangers = sum(not is_velodyne(payload) for _, payload in packets)
     if strangers:
         raise ValueError(

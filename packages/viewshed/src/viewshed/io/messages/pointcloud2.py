@@ -110,11 +110,14 @@ def _table(cloud: PointCloud2) -> NDArray[Any]:
     if not 0 < cloud.point_step <= _ROW_BYTES or cloud.width * cloud.height > MAX_POINTS:
         size = f"{cloud.height} × {cloud.width} points of {cloud.point_step} bytes"
         raise ValueError(f"a cloud must have at most {MAX_POINTS} points of 1 to {_ROW_BYTES} bytes, got {size}")
+    for name, field in fields.items():
+        if field.offset + np.dtype(_KINDS[field.datatype]).itemsize > cloud.point_step:
+            raise ValueError(f"field {name!r} at byte {field.offset} leaves a point of {cloud.point_step} bytes")
     kind = np.dtype({
         "names": list(fields),
         "formats": [order + _KINDS[field.datatype] for field in fields.values()],
         "offsets": [field.offset for field in fields.values()],
-        "itemsize": _point_bytes(cloud, fields),
+        "itemsize": cloud.point_step,
     })  # fmt: skip
     data = np.ascontiguousarray(cloud.data, np.uint8)
     row_step = cloud.row_step if cloud.height > 1 else cloud.width * cloud.point_step
@@ -123,13 +126,6 @@ def _table(cloud: PointCloud2) -> NDArray[Any]:
         rows = f"{cloud.height} rows of {cloud.width} points of {cloud.point_step} bytes every {row_step}"
         raise ValueError(f"a cloud is cut off: {rows} need {needed} bytes, the message holds {data.size}")
     return np.ndarray((cloud.height, cloud.width), kind, data, strides=(row_step, cloud.point_step))
-
-
-def _point_bytes(cloud: PointCloud2, fields: Mapping[str, PointField]) -> int:
-    for name, field in fields.items():
-        if field.offset + np.dtype(_KINDS[field.datatype]).itemsize > cloud.point_step:
-            raise ValueError(f"field {name!r} at byte {field.offset} leaves a point of {cloud.point_step} bytes")
-    return cloud.point_step
 
 
 def _ring(laser: NDArray[Any] | None, points: NDArray[np.float32]) -> NDArray[np.int16] | None:

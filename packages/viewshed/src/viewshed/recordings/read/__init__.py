@@ -7,20 +7,20 @@ from pathlib import Path
 
 from viewshed.io._input import errors_named
 from viewshed.recordings.read import argoverse2, bag_files, carla, kitti, nuscenes, opv2v, rosbag
-from viewshed.recordings.read.source import RecordingSource, SourceKind, SweepSource
+from viewshed.recordings.read.source import SourceKind, SweepSource
 
 SOURCES: dict[str, SourceKind] = {
-    "nuscenes": SourceKind("nuScenes' tables in v1.0-*/", nuscenes.versions_in, nuscenes.Nuscenes.open),
+    "nuscenes": SourceKind("nuScenes' tables in v1.0-*/", nuscenes.versions_in, nuscenes.Nuscenes),
     "kitti_raw": SourceKind("KITTI's drives with velodyne_points/data/", kitti.drives_in, kitti.KittiRaw),
     "kitti_odometry": SourceKind("KITTI's sequences/*/velodyne/", kitti.sequences_in, kitti.KittiOdometry),
     "kitti_object": SourceKind("KITTI's training/velodyne/ or testing/velodyne/", kitti.parts_in, kitti.KittiObject),
     "argoverse2": SourceKind("Argoverse 2's LOG/sensors/lidar/", argoverse2.logs_in, argoverse2.Argoverse2),
     "carla": SourceKind(
         "folders AGENT/000123.ply (or .npy) with AGENT/poses.csv (or .jsonl)",
-        carla.recordings_in, carla.CarlaRecording.open,
+        carla.recordings_in, carla.CarlaRecording,
     ),
     "opv2v": SourceKind(
-        "folders SCENARIO/AGENT/000068.pcd with 000068.yaml", opv2v.scenarios_in, opv2v.Opv2v.open
+        "folders SCENARIO/AGENT/000068.pcd with 000068.yaml", opv2v.scenarios_in, opv2v.Opv2v
     ),
     "bag": SourceKind(
         "a .bag or .mcap file, a folder with metadata.yaml, or a folder of these",
@@ -52,12 +52,12 @@ def open_source(place: str | os.PathLike[str], kind: str = "auto", *, topic: str
         if topic is not None:
             if not SOURCES["bag"].fits(path):
                 raise ValueError(f"{path}: topic goes with a bag, got {topic!r}; leave it out")
-            return RecordingSource(path, rosbag.BagRecording.open(path, topic))
+            return rosbag.BagRecording.open(path, topic)
         for known in SOURCES.values() if kind == "auto" else (SOURCES[kind],):
             if kind != "auto" or known.fits(path):
-                reader = known.open(path)
-                if not reader.scenes:
+                source = known.open(path)
+                if not source.sweeps:
                     raise ValueError(f"{path}: must hold {known.layout}, got none")
-                return RecordingSource(path, reader)
+                return source
     layouts = "; ".join(f"{known.layout} ({name})" for name, known in SOURCES.items())
     raise ValueError(f"{path}: no recording found here; looked for {layouts}")

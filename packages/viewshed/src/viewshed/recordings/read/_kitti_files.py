@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from viewshed.geometry import Rigid
-from viewshed.io._input import inside, one_line, open_input
-from viewshed.recordings.read.source import note_damage, numbers_in
+from viewshed.io._input import inside, open_input
+from viewshed.recordings.read.source import note_damage, numbers_in, problems_of
 
 EARTH_RADIUS_M = 6378137.0
 """Radius that KITTI's development kit uses."""
@@ -39,18 +39,11 @@ def named_texts(root: Path, path: Path) -> dict[str, str]:
     return {name.strip(): rest for name, colon, rest in parts if colon}
 
 
-def rigid_of(rotation: NDArray[np.float64], translation: NDArray[np.float64], where: str) -> Rigid:
-    """Return the transform of a rotation (3, 3) and a translation (3,)."""
-    try:
-        return Rigid(rotation, translation)
-    except ValueError as error:
-        raise ValueError(one_line(f"{where}: {error}")) from error
-
-
 def rigid_of_line(text: str, where: str) -> Rigid:
     """Return the transform of a line of 12 numbers, the first three rows of its matrix."""
     matrix = numbers_of(text, 12, where).reshape(3, 4)
-    return rigid_of(matrix[:, :3], matrix[:, 3], where)
+    with problems_of(where):
+        return Rigid(matrix[:, :3], matrix[:, 3])
 
 
 def rigid_named(root: Path, path: Path, name: str) -> Rigid:
@@ -135,7 +128,8 @@ def inertial_track(root: Path, drive: Path) -> PoseTrack:
     rotation = numbers_of(texts.get("R", ""), 9, f"{calibration}, R").reshape(3, 3)
     translation = numbers_of(texts.get("T", ""), 3, f"{calibration}, T")
     folder = drive / "oxts" / "data"
-    imu_from_velodyne = rigid_of(rotation, translation, str(calibration)).inverse()
+    with problems_of(str(calibration)):
+        imu_from_velodyne = Rigid(rotation, translation).inverse()
     return partial(_pose_by_imu, root, folder, _first_readable(root, folder), imu_from_velodyne)
 
 

@@ -21,7 +21,7 @@ from viewshed.io import read_sweep
 from viewshed.io._columns import FILE_FRAMES
 from viewshed.io._input import inside, open_input
 from viewshed.io.argoverse import read_feather
-from viewshed.recordings.read.source import ObjectBox, SweepReader, SweepRef, note_damage
+from viewshed.recordings.read.source import ObjectBox, RecordingSource, SweepRef, numbered
 from viewshed.sweep import Sweep
 
 SWEEPS, POSES, BOXES = "sensors/lidar", "city_SE3_egovehicle.feather", "annotations.feather"
@@ -31,25 +31,25 @@ _SIZE = ("length_m", "width_m", "height_m")
 _MOST_BYTES = 256_000_000
 
 
-class Argoverse2(SweepReader):
+class Argoverse2(RecordingSource):
     """One log, or a folder of logs; each is a scene, whose world is the city."""
 
     def __init__(self, place: Path) -> None:
         logs = logs_in(place)
-        self.root = place
+        self.place = place
         self.problems: list[str] = []
-        self.scenes: dict[str, Sequence[SweepRef]] = {log.name: self._refs(log) for log in logs}
+        self.sweeps: dict[str, Sequence[SweepRef]] = {log.name: self._refs(log) for log in logs}
         self._tables: dict[Path, dict[str, NDArray[Any]] | None] = {}
 
-    def read(self, ref: SweepRef) -> Sweep:
+    def _read(self, ref: SweepRef) -> Sweep:
         """Return a sweep with its time, and with its pose where the log tells it."""
-        sweep = read_sweep(inside(self.root, ref.file), format="argoverse2")
+        sweep = read_sweep(inside(self.place, ref.file), format="argoverse2")
         city_from_car = self._pose(ref)
         if city_from_car is None:
             return sweep.replace(t_ns=ref.t_ns)
         return sweep.replace(t_ns=ref.t_ns, world_from_sensor=city_from_car @ FILE_FRAMES["argoverse2"].inverse())
 
-    def boxes(self, ref: SweepRef) -> tuple[ObjectBox, ...] | None:
+    def _boxes(self, ref: SweepRef) -> tuple[ObjectBox, ...] | None:
         """Return the annotated objects at the time of a sweep; None where the log has no annotations."""
         table = self._table(_log_of(ref) / BOXES, (*_POSE, *_SIZE, "timestamp_ns"), ("category", "track_uuid"))
         if table is None:
@@ -67,13 +67,10 @@ class Argoverse2(SweepReader):
         )  # fmt: skip
 
     def _refs(self, log: Path) -> Sequence[SweepRef]:
-        files = sorted((log / SWEEPS).glob("*.feather"))
-        named = [file for file in files if file.stem.isascii() and file.stem.isdecimal() and len(file.stem) <= 18]
-        for file in sorted(set(files) - set(named)):
-            note_damage(self.problems, f"{file}: must be named by its nanoseconds; it is left out")
+        files = numbered((log / SWEEPS).glob("*.feather"), self.problems, "its nanoseconds")
         return [
             SweepRef(log.name, index, str(file), int(file.stem), sensor="up_lidar, down_lidar", key=file.stem)
-            for index, file in enumerate(sorted(named, key=lambda file: int(file.stem)))
+            for index, file in enumerate(files)
         ]
 
     def _pose(self, ref: SweepRef) -> Rigid | None:
@@ -90,8 +87,16 @@ class Argoverse2(SweepReader):
 
     def _table(self, path: Path, numbers: Sequence[str], words: Sequence[str] = ()) -> dict[str, NDArray[Any]] | None:
         """Return the columns of a table of a log, None where it has none; read once."""
+        if path not in self._tables and not path.is_file():
+            self._tables[path] = None
         if path not in self._tables:
-            self._tables[path] = _read_table(self.root, path, numbers, words) if path.is_file() else None
+            with open_input(inside(self.place, path)) as source:
+                table = read_feather(source.content(_MOST_BYTES), numbers, words)
+                names = (*numbers, *words)
+                missing = [name for name in names if name not in table]
+                if missing:
+                    raise ValueError(f"must have the columns {', '.join(names)}, got none of {', '.join(missing)}")
+            self._tables[path] = table
         return self._tables[path]
 
 
@@ -102,12 +107,3 @@ def logs_in(place: Path) -> list[Path]:
 
 def _log_of(ref: SweepRef) -> Path:
     return Path(ref.file).parents[2]
-
-
-def _read_table(root: Path, path: Path, numbers: Sequence[str], words: Sequence[str]) -> dict[str, NDArray[Any]]:
-    with open_input(inside(root, path)) as source:
-        table = read_feather(source.content(_MOST_BYTES), numbers, words)
-        missing = [name for name in (*numbers, *words) if name not in table]
-        if missing:
-            raise ValueError(f"must have the columns {', '.join((*numbers, *words))}, got none of {', '.join(missing)}")
-        return table

@@ -24,7 +24,6 @@ import json
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -35,7 +34,7 @@ from numpy.typing import NDArray
 from viewshed.geometry import Rigid
 from viewshed.io import read_sweep
 from viewshed.io._input import inside, one_line, open_input
-from viewshed.recordings.read.source import ObjectBox, SweepReader, SweepRef, note_damage, numbers_in, read_optional
+from viewshed.recordings.read.source import ObjectBox, RecordingSource, SweepRef, note_damage, numbers_in, read_optional
 from viewshed.sensors import MAX_RINGS, LidarModel
 from viewshed.sweep import Sweep
 
@@ -197,17 +196,17 @@ def read_actors(root: Path, path: Path, damage: list[str]) -> Actors | None:
             if not line:
                 return Actors(path, places)
             if len(line) > _LINE_BYTES_MAX:
-                note_damage(
-                    damage, f"{path}: line {number} must be at most {_LINE_BYTES_MAX} bytes; the rest is left out"
-                )
-                return Actors(path, places)
+                problem = f"line {number} must be at most {_LINE_BYTES_MAX} bytes"
+                break
             try:
                 if line.strip():
                     places[_whole(_json_object(line).get("frame"), "frame")] = (start, len(line))
             except ValueError as error:
                 note_damage(damage, f"{path}: line {number} must be an object with a frame: {error}")
             start += len(line)
-    note_damage(damage, f"{path}: must have at most {_ROWS_MAX} lines; the rest is left out")
+        else:
+            problem = f"must have at most {_ROWS_MAX} lines"
+    note_damage(damage, f"{path}: {problem}; the rest is left out")
     return Actors(path, places)
 
 
@@ -225,7 +224,10 @@ def read_poses(root: Path, folder: Path, damage: list[str]) -> dict[int, AgentPo
             if number > _ROWS_MAX:
                 raise ValueError(f"{path}: must have at most {_ROWS_MAX} lines; the rest is left out")
             try:
-                _add_pose(poses, row if isinstance(row, dict) else _json_object(row))
+                frame, pose = _pose_in(row if isinstance(row, dict) else _json_object(row))
+                if frame in poses:
+                    raise ValueError(f"frame {frame} appears twice; the first is kept")
+                poses[frame] = pose
             except ValueError as error:
                 note_damage(damage, f"{path}: line {number}: {error}")
     except csv.Error as error:
@@ -238,13 +240,11 @@ def read_poses(root: Path, folder: Path, damage: list[str]) -> dict[int, AgentPo
     return poses
 
 
-def _add_pose(poses: dict[int, AgentPose], row: Mapping[str, Any]) -> None:
+def _pose_in(row: Mapping[str, Any]) -> tuple[int, AgentPose]:
     frame, t_ns = _whole(row.get("frame"), "frame"), _whole(row.get("t_ns"), "t_ns")
     what = f"a pose ({', '.join(_POSE_NUMBERS)})"
     numbers = numbers_in([row.get(name) for name in _POSE_NUMBERS], len(_POSE_NUMBERS), what)
-    if frame in poses:
-        raise ValueError(f"frame {frame} appears twice; the first is kept")
-    poses[frame] = AgentPose(t_ns, numbers)
+    return frame, AgentPose(t_ns, numbers)
 
 
 def _whole(value: object, what: str) -> int:
@@ -288,32 +288,26 @@ class _Agent:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Scene:
-    root: Path
     axes: str
     agents: Mapping[str, _Agent]
     actors: Actors | None
 
 
-class CarlaRecording(SweepReader):
+class CarlaRecording(RecordingSource):
     """A recording, or a folder of recordings; each is a scene."""
 
-    def __init__(self, scenes: Mapping[str, _Scene], problems: Sequence[str]) -> None:
-        self._scenes = scenes
-        self.problems = problems
-        self.scenes = {name: _refs_of(name, scene) for name, scene in scenes.items()}
+    def __init__(self, place: Path) -> None:
+        self.place = place
+        self.problems: list[str] = []
+        self._scenes = {folder.name: _open_scene(place, folder, self.problems) for folder in recordings_in(place)}
+        self.sweeps = {name: _refs_of(name, scene) for name, scene in self._scenes.items()}
 
-    @classmethod
-    def open(cls, place: Path) -> CarlaRecording:
-        """Return the recordings at a place."""
-        damage: list[str] = []
-        return cls({folder.name: _open_scene(place, folder, damage) for folder in recordings_in(place)}, damage)
-
-    def read(self, ref: SweepRef) -> Sweep:
+    def _read(self, ref: SweepRef) -> Sweep:
         """Return a sweep in the sensor's frame, with pose and time where the table of poses has its frame."""
         scene = self._scenes[ref.scene]
         agent = scene.agents[ref.agent]
         file_frame = "carla" if scene.axes == "carla_0.9.9" else None
-        sweep = read_sweep(inside(scene.root, ref.file), file_frame=file_frame)
+        sweep = read_sweep(inside(self.place, ref.file), file_frame=file_frame)
         sweep = mirrored(sweep) if scene.axes == "carla" else sweep
         pose = agent.poses.get(int(ref.key))
         fits = agent.model is not None and (sweep.ring is None or sweep.ring.max(initial=0) < agent.model.rings)
@@ -323,7 +317,7 @@ class CarlaRecording(SweepReader):
             sensor_height_m=agent.sensor_height_m,
         )  # fmt: skip
 
-    def boxes(self, ref: SweepRef) -> tuple[ObjectBox, ...] | None:
+    def _boxes(self, ref: SweepRef) -> tuple[ObjectBox, ...] | None:
         """Return the actors of the sweep's tick, without the one that carries the sensor; None where there are none."""
         actors = self._scenes[ref.scene].actors
         return None if actors is None else actors.boxes(int(ref.key), ref.agent)
@@ -360,7 +354,16 @@ def _is_recording(folder: Path) -> bool:
 
 
 def _open_scene(root: Path, folder: Path, damage: list[str]) -> _Scene:
-    about = read_optional(folder / "recording.json", partial(_read_about, root), damage) or {}
+    def read_about(path: Path) -> Mapping[str, Any]:
+        with open_input(inside(root, path)) as source:
+            return _json_object(source.content(_LINE_BYTES_MAX))
+
+    about = read_optional(folder / "recording.json", read_about, damage) or {}
+    axes = about.get("axes", "carla")
+    if axes not in AXES:
+        problem = f"axes must be one of {', '.join(AXES)}, got {one_line(axes, 40)}; took carla"
+        note_damage(damage, f"{folder / 'recording.json'}: {problem}")
+        axes = "carla"
     sensors = about.get("agents")
     sensors = sensors if isinstance(sensors, dict) else {}
     agents = {
@@ -370,28 +373,21 @@ def _open_scene(root: Path, folder: Path, damage: list[str]) -> _Scene:
     }
     if not agents:
         note_damage(damage, f"{folder}: no agent has a sweep ({', '.join(_SWEEPS)})")
-    return _Scene(root, _axes(about, folder, damage), agents, read_actors(root, folder / "actors.jsonl", damage))
-
-
-def _read_about(root: Path, path: Path) -> Mapping[str, Any]:
-    with open_input(inside(root, path)) as source:
-        return _json_object(source.content(_LINE_BYTES_MAX))
-
-
-def _axes(about: Mapping[str, Any], folder: Path, damage: list[str]) -> str:
-    axes = about.get("axes", "carla")
-    if axes not in AXES:
-        problem = f"axes must be one of {', '.join(AXES)}, got {one_line(axes, 40)}; took carla"
-        note_damage(damage, f"{folder / 'recording.json'}: {problem}")
-        return "carla"
-    return str(axes)
+    return _Scene(str(axes), agents, read_actors(root, folder / "actors.jsonl", damage))
 
 
 def _open_agent(root: Path, folder: Path, sensor: Any, damage: list[str]) -> _Agent:
     files: dict[int, Path] = {}
     for path in sorted(folder.iterdir()):
-        if path.name.lower().endswith(_SWEEPS):
-            _add_file(files, path, damage)
+        stem = path.name.split(".")[0]
+        if not path.name.lower().endswith(_SWEEPS):
+            continue
+        if not (stem.isascii() and stem.isdigit() and len(stem) <= 18):
+            note_damage(damage, f"{path}: a sweep must be named after its frame, like 000123{path.suffix}; left out")
+        elif int(stem) in files:
+            note_damage(damage, f"{path}: frame {int(stem)} is there twice; left out")
+        else:
+            files[int(stem)] = path
     poses = read_poses(root, folder, damage)
     missing = [frame for frame in files if frame not in poses]
     if poses and missing:
@@ -399,16 +395,6 @@ def _open_agent(root: Path, folder: Path, sensor: Any, damage: list[str]) -> _Ag
         note_damage(damage, f"{folder}: {problem}")
     model, height_m = _sensor(sensor, folder, damage)
     return _Agent(files, poses, model, height_m)
-
-
-def _add_file(files: dict[int, Path], path: Path, damage: list[str]) -> None:
-    stem = path.name.split(".")[0]
-    if not (stem.isascii() and stem.isdigit() and len(stem) <= 18):
-        note_damage(damage, f"{path}: a sweep must be named after its frame, like 000123{path.suffix}; left out")
-    elif int(stem) in files:
-        note_damage(damage, f"{path}: frame {int(stem)} is there twice; left out")
-    else:
-        files[int(stem)] = path
 
 
 def _sensor(sensor: Any, folder: Path, damage: list[str]) -> tuple[LidarModel | None, float | None]:

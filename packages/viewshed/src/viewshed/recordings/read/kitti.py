@@ -1,19 +1,35 @@
-"""KITTI: raw drives, odometry sequences and the object set, as they are unpacked."""
+"""KITTI: raw drives, odometry sequences and the object set, as they are unpacked, with their annotated objects."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+import io
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
 
 from viewshed.geometry import Rigid
 from viewshed.io import read_sweep
-from viewshed.io._input import inside, one_line
-from viewshed.recordings.read._kitti_boxes import FILE, Tracklets, read_labels
-from viewshed.recordings.read._kitti_files import PoseTrack, camera_track, inertial_track, times_of
-from viewshed.recordings.read.source import ObjectBox, SweepReader, SweepRef, note_damage
+from viewshed.io._input import InputFile, inside, one_line, open_input
+from viewshed.recordings.read._kitti_files import (
+    PoseTrack,
+    camera_track,
+    inertial_track,
+    named_texts,
+    numbers_of,
+    rigid_named,
+    text_lines,
+    times_of,
+)
+from viewshed.recordings.read.source import ObjectBox, RecordingSource, SweepRef, note_damage, numbered, problems_of
 from viewshed.sweep import Sweep
+
+if TYPE_CHECKING:
+    from xml.etree.ElementTree import Element
 
 SENSOR = "hdl64e"
 """Beam table of KITTI's LiDAR."""
@@ -22,16 +38,16 @@ SENSOR_HEIGHT_M = 1.73
 """Height of the LiDAR above the ground (https://www.cvlibs.net/datasets/kitti/setup.php)."""
 
 
-class _Kitti(SweepReader):
+class _Kitti(RecordingSource):
     """What the three layouts share: sweeps named by numbers, with KITTI's beams and height, and perhaps poses."""
 
-    def __init__(self, root: Path) -> None:
-        self.root = root
-        self.scenes: dict[str, tuple[SweepRef, ...]] = {}
+    def __init__(self, place: Path, root: Path | None = None) -> None:
+        self.place, self.root = place, place if root is None else root
+        self.sweeps: dict[str, tuple[SweepRef, ...]] = {}
         self.problems: list[str] = []
         self._tracks: dict[str, PoseTrack] = {}
 
-    def read(self, ref: SweepRef) -> Sweep:
+    def _read(self, ref: SweepRef) -> Sweep:
         """Return a sweep with beams and height, its time where there is one, its pose unless the scene has none."""
         sweep = read_sweep(
             inside(self.root, ref.file), format="kitti", sensor=SENSOR, sensor_height_m=SENSOR_HEIGHT_M,
@@ -41,7 +57,7 @@ class _Kitti(SweepReader):
 
     def _add_scene(self, name: str, folder: Path, stamps: Path | None = None, *, seconds: bool = False) -> None:
         """Add the sweeps of a folder, in the order of their times where all have one, else of their numbers."""
-        files = _sweep_files(folder, self.problems)
+        files = numbered(folder.glob("*.bin"), self.problems)
         times: Sequence[int | None] = [None] * len(files)
         if stamps is not None:
             times = times_of(self.root, stamps, files, self.problems, seconds=seconds)
@@ -49,7 +65,7 @@ class _Kitti(SweepReader):
                 for file, t_ns in zip(files, times, strict=True)]  # fmt: skip
         if None not in times:
             refs.sort(key=lambda ref: ref.t_ns or 0)
-        self.scenes[name] = tuple(replace(ref, index=index) for index, ref in enumerate(refs))
+        self.sweeps[name] = tuple(replace(ref, index=index) for index, ref in enumerate(refs))
 
     def _add_poses(self, name: str, what: str, read: Callable[[], PoseTrack]) -> None:
         try:
@@ -60,10 +76,8 @@ class _Kitti(SweepReader):
     def _pose(self, ref: SweepRef) -> Rigid | None:
         if ref.scene not in self._tracks:
             return None
-        try:
+        with problems_of(f"{ref.file}: has no pose"):
             return self._tracks[ref.scene](ref.key)
-        except (ValueError, OSError) as error:
-            raise ValueError(one_line(f"{ref.file}: has no pose: {error}")) from error
 
 
 class KittiRaw(_Kitti):
@@ -75,14 +89,14 @@ class KittiRaw(_Kitti):
 
     def __init__(self, place: Path) -> None:
         drives = drives_in(place)
-        super().__init__(place.parent if place in drives else place)  # calibration lies beside a drive
+        super().__init__(place, place.parent if place in drives else place)  # calibration lies beside a drive
         self._tracklets: dict[str, Tracklets | None] = {}
         for drive in drives:
             points = drive / "velodyne_points"
             self._add_scene(drive.name, points / "data", points / "timestamps.txt")
             self._add_poses(drive.name, drive.name, partial(inertial_track, self.root, drive))
 
-    def boxes(self, ref: SweepRef) -> tuple[ObjectBox, ...] | None:
+    def _boxes(self, ref: SweepRef) -> tuple[ObjectBox, ...] | None:
         """Return the objects of the drive's tracklets; None where it has no such file."""
         if ref.scene not in self._tracklets:
             file = Path(ref.file).parents[2] / FILE
@@ -125,7 +139,7 @@ class KittiObject(_Kitti):
         for folder in parts_in(place):
             self._add_scene(folder.parent.name, folder)
 
-    def boxes(self, ref: SweepRef) -> tuple[ObjectBox, ...] | None:
+    def _boxes(self, ref: SweepRef) -> tuple[ObjectBox, ...] | None:
         """Return the labeled objects in front of the car, in the sensor's frame; None where there are no labels."""
         scene = self.root / ref.scene
         if not (scene / "label_2").is_dir():
@@ -150,10 +164,160 @@ def parts_in(place: Path) -> list[Path]:
     return [folder for folder in folders if folder.is_dir()]
 
 
-def _sweep_files(folder: Path, damage: list[str]) -> list[Path]:
-    """Return the ``.bin`` files of a folder by their numbers; others are named in ``damage``."""
-    files = sorted(folder.glob("*.bin"))
-    numbered = [file for file in files if file.stem.isascii() and file.stem.isdecimal() and len(file.stem) <= 18]
-    for file in sorted(set(files) - set(numbered)):
-        note_damage(damage, f"{file}: must be named by a number; it is left out")
-    return sorted(numbered, key=lambda file: int(file.stem))
+FILE = "tracklet_labels.xml"
+"""Name of the file of tracklets, in the folder of the drive."""
+
+_IGNORED = "DontCare"
+_NUMBERS = 14
+_MOST_BYTES = 64_000_000
+_MOST_ELEMENTS = 500_000  # 1000 sweeps with 30 objects each have 400,000
+_DEPTH_MAX = 16
+_SIZE = ("l", "w", "h")
+_POSE = ("tx", "ty", "tz", "rz")
+
+
+def velodyne_from_camera(root: Path, calibration: Path) -> Rigid:
+    """Return the transform from the rectified camera (x right, y down, z forward) to the LiDAR.
+
+    The inverse of ``R0_rect * Tr_velo_to_cam``, as in the readme of KITTI's development kit.
+    """
+    texts = named_texts(root, calibration)
+    where = f"{calibration}, R0_rect"
+    with problems_of(where):
+        rectification = Rigid(numbers_of(texts.get("R0_rect", ""), 9, where).reshape(3, 3), np.zeros(3))
+    return (rectification @ rigid_named(root, calibration, "Tr_velo_to_cam")).inverse()
+
+
+def read_labels(root: Path, labels: Path, calibration: Path) -> tuple[ObjectBox, ...]:
+    """Return the labeled objects in the LiDAR's frame; regions marked ``DontCare`` are left out."""
+    if labels.is_file() and labels.stat().st_size == 0:  # a frame without objects
+        return ()
+    frame = velodyne_from_camera(root, calibration)
+    lines = ((f"{labels}, line {number + 1}", line) for number, line in enumerate(text_lines(root, labels)))
+    return tuple(_box(line, where, frame) for where, line in lines if line.strip() and not line.startswith(_IGNORED))
+
+
+def _box(line: str, where: str, velodyne_from_camera: Rigid) -> ObjectBox:
+    """Return the box of a line: type, truncated, occluded, alpha, 4 of the image, height, width, length, x, y, z, ry.
+
+    (x, y, z) is the middle of the bottom in the camera's frame, ry turns about its y axis, which points down.
+    """
+    category, _, rest = line.partition(" ")
+    *_, height, width, length, x, y, z, turn = numbers_of(rest, _NUMBERS, where)
+    c, s = np.cos(turn), np.sin(turn)
+    camera_from_box = Rigid(np.array([[c, s, 0.0], [0.0, 0.0, -1.0], [-s, c, 0.0]]), np.array([x, y - height / 2.0, z]))
+    with problems_of(where):
+        return ObjectBox(velodyne_from_camera @ camera_from_box, (length, width, height), category)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Track:
+    """One object over time."""
+
+    name: str  # its number in the file
+    category: str  # what it is
+    size_m: tuple[float, float, float]  # length, width, height
+    first: int  # frame of its first pose
+    # (F, 4) float64: middle of its bottom in the LiDAR's frame, meters, and heading; NaN where damaged
+    poses: NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tracklets:
+    """The objects of one drive, from :meth:`read`."""
+
+    place: Path  # the file
+    tracks: tuple[_Track, ...]  # its objects
+    damage: tuple[str, ...]  # one line for each object that had to be left out, or that has fewer poses than it says
+
+    @classmethod
+    def read(cls, place: Path) -> Tracklets:
+        """Return the objects in a file, which must be XML that holds tracklets."""
+        tracks: list[_Track] = []
+        damage: list[str] = []
+        with open_input(place) as source:
+            for number, item in enumerate(_items(source)):
+                where = f"{place}, tracklet {number}"
+                try:
+                    tracks.append(_track(item, str(number), where))
+                except ValueError as error:
+                    note_damage(damage, f"{error}; it is left out")
+                    continue
+                claimed, count = item.findtext("poses/count", "").strip(), len(tracks[-1].poses)
+                if claimed != str(count):
+                    note_damage(damage, f"{where}: must have as many poses as its count, {claimed!r}, got {count}")
+        return cls(place, tuple(tracks), tuple(damage))
+
+    def of(self, frame: int, world_from_velodyne: Rigid) -> tuple[ObjectBox, ...]:
+        """Return the objects of the sweep with this number, in the world."""
+        return tuple(
+            self._box(track, frame, world_from_velodyne)
+            for track in self.tracks
+            if 0 <= frame - track.first < len(track.poses)
+        )
+
+    def _box(self, track: _Track, frame: int, world_from_velodyne: Rigid) -> ObjectBox:
+        """Return one object; as in ``run_demoTracklets.m`` of the development kit z is that of the bottom."""
+        x, y, z, yaw = track.poses[frame - track.first].tolist()
+        with problems_of(f"{self.place}, tracklet {track.name}, frame {frame}"):
+            velodyne_from_box = Rigid.from_yaw(yaw, (x, y, z + track.size_m[2] / 2))
+            return ObjectBox(world_from_velodyne @ velodyne_from_box, track.size_m, track.category, track.name)
+
+
+def _items(source: InputFile) -> Iterator[Element]:
+    """Yield the tracklets of a file one by one, so that they never all are in memory."""
+    from xml.etree import ElementTree
+
+    content = source.content(_MOST_BYTES)
+    if b"<!ENTITY" in content or b"\0" in content:  # such text can grow without end; UTF-16 could hide it
+        raise ValueError("must be XML without entities of its own")
+    path: list[Element] = []
+    elements = 0
+    any_tracklets = False
+    try:
+        for event, element in ElementTree.iterparse(io.BytesIO(content), ("start", "end")):
+            if event == "start":
+                path.append(element)
+                elements += 1
+                if len(path) > _DEPTH_MAX or elements > _MOST_ELEMENTS:
+                    raise ValueError(f"must have at most {_MOST_ELEMENTS} elements, {_DEPTH_MAX} deep")
+                continue
+            path.pop()
+            tags = [parent.tag for parent in path[1:]]
+            any_tracklets |= tags == [] and element.tag == "tracklets"
+            if tags == ["tracklets"] and element.tag == "item":
+                yield element
+            if path and tags in ([], ["tracklets"]):
+                path[-1].remove(element)
+    except (ElementTree.ParseError, LookupError) as error:
+        raise ValueError(f"must be XML: {error}") from error
+    if not any_tracklets:
+        raise ValueError("must hold tracklets, got none")
+
+
+def _track(item: Element, name: str, where: str) -> _Track:
+    length, width, height = numbers_of(_texts(item, _SIZE), len(_SIZE), f"{where}, l w h").tolist()
+    if min(length, width, height) <= 0:
+        raise ValueError(f"{where}: l, w and h must be positive, got {length:g}, {width:g}, {height:g}")
+    first = item.findtext("first_frame", "").strip()
+    if not (first.isascii() and first.isdecimal()) or len(first) > len("4294967295"):
+        raise ValueError(one_line(f"{where}: first_frame must be the number of a frame, got {first[:40]!r}"))
+    poses = [_pose(pose) for pose in item.findall("poses/item")]
+    if not poses:
+        raise ValueError(f"{where}: must have at least one pose, got none")
+    category = item.findtext("objectType", "").strip()
+    return _Track(name, category, (length, width, height), int(first), np.array(poses, np.float64))
+
+
+def _pose(item: Element) -> NDArray[np.float64]:
+    """Return x, y, z and heading (4,); NaN where one is damaged."""
+    try:
+        return numbers_of(_texts(item, _POSE), len(_POSE), "")
+    except ValueError:
+        return np.full(len(_POSE), np.nan)
+
+
+def _texts(item: Element, names: tuple[str, ...]) -> str:
+    """Return what stands under some names, in their order; ``?`` where it is no single word."""
+    texts = (item.findtext(name, "").split() for name in names)
+    return " ".join(words[0] if len(words) == 1 else "?" for words in texts)

@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+from array import array
+from dataclasses import dataclass, replace
 from pathlib import Path
+from sys import intern
+
+import numpy as np
+from numpy.typing import NDArray
 
 from viewshed.geometry import Rigid
 from viewshed.io import FILE_FRAMES, read_sweep
 from viewshed.io._input import inside, one_line
-from viewshed.recordings.read._nuscenes_boxes import Annotations
-from viewshed.recordings.read._nuscenes_tables import NuscenesTables, PoseTable
-from viewshed.recordings.read.source import ObjectBox, SweepReader, SweepRef
+from viewshed.recordings.read._nuscenes_tables import NuscenesTables, floats_of, rows_of_table
+from viewshed.recordings.read.source import ObjectBox, RecordingSource, SweepRef, problems_of
+from viewshed.recordings.read.tf_tree import between
 from viewshed.sweep import Sweep
 
 SENSOR = "hdl32e"
@@ -18,47 +24,102 @@ SENSOR = "hdl32e"
 _TABLE = "sample_data.json"
 
 
-class Nuscenes(SweepReader):
-    """One version of nuScenes, in the folder of its tables; ``samples`` and ``sweeps`` lie beside it.
+@dataclass(frozen=True, slots=True, eq=False)
+class Annotations:
+    """The rows of ``sample_annotation``, grouped by sample."""
+
+    place: Path  # the table's file
+    rows: dict[str, array[int]]  # token of the sample → rows of ``values`` and ``instances``
+    # (N, 10) float64: quaternion (w, x, y, z), center and width, length, height in meters; not finite where the row is
+    # damaged
+    values: NDArray[np.float64]
+    instances: list[str]  # token of the object, by row
+    categories: dict[str, str]  # token of the object → name of its category
+
+    @classmethod
+    def read(cls, folder: Path) -> Annotations:
+        """Return the annotations of the version in a folder."""
+        names = {str(row.get("token")): str(row.get("name")) for row in rows_of_table(folder / "category.json")}
+        objects = (
+            (str(row.get("token")), str(row.get("category_token"))) for row in rows_of_table(folder / "instance.json")
+        )
+        categories = {token: names[category] for token, category in objects if category in names}
+        place = folder / "sample_annotation.json"
+        rows: dict[str, array[int]] = {}
+        values, instances = array("d"), []
+        for number, row in enumerate(rows_of_table(place)):
+            rows.setdefault(str(row.get("sample_token")), array("q")).append(number)
+            instances.append(intern(str(row.get("instance_token"))))
+            values.extend(floats_of([row.get(key) for key in ("rotation", "translation", "size")], (4, 3, 3)))
+        return cls(place, rows, np.array(values).reshape(-1, 10), instances, categories)
+
+    def of(self, sample: str) -> tuple[ObjectBox, ...] | None:
+        """Return the boxes of a sample; None where the version has no annotations at all."""
+        return tuple(self._box(row) for row in self.rows.get(sample, ())) if self.rows else None
+
+    def between(self, before: str, after: str, share: float) -> tuple[ObjectBox, ...] | None:
+        """Return the boxes at ``share`` in [0, 1] of the way from one sample to another, of objects that are in both.
+
+        Centers go straight, headings the shorter way round, and the size is the later one, as in ``get_boxes`` of the
+        development kit; objects of the later sample alone are left out, which it shows where they will be.
+        """
+        first = {self.instances[row]: row for row in self.rows.get(before, ())}
+        pairs = ((first.get(self.instances[row]), row) for row in self.rows.get(after, ()))
+        boxes = tuple(self._mixed(old, new, share) for old, new in pairs if old is not None)
+        return boxes if self.rows else None
+
+    def _mixed(self, old: int, new: int, share: float) -> ObjectBox:
+        earlier, later = self._box(old), self._box(new)
+        return replace(later, world_from_box=between(earlier.world_from_box, later.world_from_box, share))
+
+    def _box(self, row: int) -> ObjectBox:
+        instance = self.instances[row]
+        if instance not in self.categories:
+            raise ValueError(one_line(f"{self.place}: row {row} names no object with a category, {instance!r}"))
+        quaternion, center, (width, length, height) = np.split(self.values[row], (4, 7))
+        with problems_of(f"{self.place}: row {row}"):
+            pose = Rigid.from_quaternion(quaternion, center)
+            size_m = (float(length), float(width), float(height))
+            return ObjectBox(pose, size_m, self.categories[instance], instance)
+
+
+class Nuscenes(RecordingSource):
+    """One version of nuScenes, in the folder of its tables or the one above, where ``samples`` and ``sweeps`` lie.
 
     The ego frame lies on the ground, so the height of the sensor is that of its calibration.
     """
 
-    def __init__(self, folder: Path) -> None:
-        self.problems: list[str] = []
-        self._folder = folder
-        self._tables = NuscenesTables.read(folder, self.problems)
-        self._annotations: Annotations | None = None
-        self.scenes = self._tables.scenes
-
-    @classmethod
-    def open(cls, place: Path) -> Nuscenes:
-        """Return the version of nuScenes in a folder: the version's own, or the one above that holds only one."""
+    def __init__(self, place: Path) -> None:
         versions = versions_in(place)
-        if len(versions) == 1:
-            return cls(versions[0])
-        names = ", ".join(version.name for version in versions)
-        found = f"got {names}; name one of these folders" if versions else "got none"
-        raise ValueError(f"{place}: must hold one version of nuScenes ({_TABLE} in a folder v1.0-…), {found}")
+        if len(versions) != 1:
+            names = ", ".join(version.name for version in versions)
+            found = f"got {names}; name one of these folders" if versions else "got none"
+            raise ValueError(f"{place}: must hold one version of nuScenes ({_TABLE} in a folder v1.0-…), {found}")
+        self.place, [self._folder] = place, versions
+        self.problems: list[str] = []
+        self._tables = NuscenesTables.read(self._folder, self.problems)
+        self._annotations: Annotations | None = None
+        self.sweeps = self._tables.scenes
 
-    def read(self, ref: SweepRef) -> Sweep:
+    def _read(self, ref: SweepRef) -> Sweep:
         """Return a sweep with ring, time, pose, height and beams."""
         tokens = self._tables.tokens[ref.key]
         file = inside(self._folder.parent, ref.file)
-        ego_from_file = self._pose(self._tables.calibrations, tokens.calibration, ref)
-        world_from_ego = self._pose(self._tables.poses, tokens.pose, ref)
+        with problems_of(f"{ref.file}: has no pose"):
+            ego_from_file = self._tables.calibrations.pose(tokens.calibration)
+            world_from_ego = self._tables.poses.pose(tokens.pose)
         sweep = read_sweep(
             file, format="nuscenes", sensor=SENSOR, sensor_height_m=float(ego_from_file.translation[2]),
             world_from_sensor=world_from_ego @ ego_from_file @ FILE_FRAMES["nuscenes"].inverse(),
         )  # fmt: skip
         return sweep if sweep.t_ns == ref.t_ns else sweep.replace(t_ns=ref.t_ns)
 
-    def boxes(self, ref: SweepRef) -> tuple[ObjectBox, ...] | None:
+    def _boxes(self, ref: SweepRef) -> tuple[ObjectBox, ...] | None:
         """Return the annotated objects of a keyframe, or those between the keyframes before and after a sweep.
 
         None for sweeps before the first or after the last keyframe, and in the test version.
         """
-        refs = self.scenes[ref.scene]
+        refs = self.sweeps[ref.scene]
         before = next((other for other in reversed(refs[: ref.index + 1]) if other.keyframe), None)
         after = next((other for other in refs[ref.index :] if other.keyframe), None)
         if before is None or after is None:
@@ -70,12 +131,6 @@ class Nuscenes(SweepReader):
             return self._annotations.of(first)
         t_ns, start_ns, end_ns = (other.t_ns or 0 for other in (ref, before, after))
         return self._annotations.between(first, last, (t_ns - start_ns) / max(end_ns - start_ns, 1))
-
-    def _pose(self, poses: PoseTable, token: str, ref: SweepRef) -> Rigid:
-        try:
-            return poses.pose(token)
-        except ValueError as error:
-            raise ValueError(one_line(f"{ref.file}: has no pose: {error}")) from error
 
 
 def versions_in(place: Path) -> list[Path]:

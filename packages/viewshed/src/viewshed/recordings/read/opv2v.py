@@ -5,7 +5,7 @@ The layout is that of OpenCDA's ``data_dumper.py``, which recorded OPV2V.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,7 @@ from viewshed.io import read_sweep
 from viewshed.io._input import inside
 from viewshed.recordings.read._yaml import load_pyyaml, read_yaml
 from viewshed.recordings.read.carla import box_of_carla, lidar_described, mirrored, rigid_of_carla
-from viewshed.recordings.read.source import ObjectBox, SweepReader, SweepRef, note_damage, numbers_in, read_optional
+from viewshed.recordings.read.source import ObjectBox, RecordingSource, SweepRef, note_damage, numbers_in, read_optional
 from viewshed.sensors import LidarModel
 from viewshed.sweep import Sweep
 
@@ -30,44 +30,38 @@ _LIDAR = ("channels", "upper_fov", "lower_fov", "range", "points_per_second", "r
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Scenario:
-    """One scenario: its recording, agent → frame → file of points, the step of its frame numbers, and its sensors."""
+    """One scenario: agent → frame → file of points, the step of its frame numbers, and its sensors."""
 
-    root: Path
     agents: Mapping[str, Mapping[int, Path]]
     step_s: float
     vehicle_lidar: LidarModel | None
     roadside_lidar: LidarModel | None
 
 
-class Opv2v(SweepReader):
+class Opv2v(RecordingSource):
     """Scenarios with their agents; a scene is a scenario, agents have the names of their folders."""
 
-    def __init__(self, scenarios: Mapping[str, _Scenario], problems: Sequence[str]) -> None:
-        self._scenarios = scenarios
-        self.problems = problems
-        self.scenes = {name: _refs_of(name, scenario) for name, scenario in scenarios.items()}
-
-    @classmethod
-    def open(cls, place: Path) -> Opv2v:
-        """Return the scenarios in a folder: itself one, a folder of them, or the data set with its splits."""
+    def __init__(self, place: Path) -> None:
         load_pyyaml()
-        damage: list[str] = []
-        return cls({name: _open_scenario(place, folder, damage) for name, folder in scenarios_in(place)}, damage)
+        self.place = place
+        self.problems: list[str] = []
+        self._scenarios = {name: _open_scenario(place, folder, self.problems) for name, folder in scenarios_in(place)}
+        self.sweeps = {name: _refs_of(name, scenario) for name, scenario in self._scenarios.items()}
 
-    def read(self, ref: SweepRef) -> Sweep:
+    def _read(self, ref: SweepRef) -> Sweep:
         """Return a sweep in the sensor's frame, with its pose; without one where its YAML file is not there."""
         scenario = self._scenarios[ref.scene]
-        about = _about(scenario.root, ref)
+        about = _about(self.place, ref)
         pose = None if about is None else _pose(about, ref)
         model = scenario.roadside_lidar if _is_roadside(ref.agent) else scenario.vehicle_lidar
-        return mirrored(read_sweep(inside(scenario.root, ref.file))).replace(
+        return mirrored(read_sweep(inside(self.place, ref.file))).replace(
             agent=ref.agent, t_ns=ref.t_ns, world_from_sensor=pose, model=model,
             sensor_height_m=None if about is None or pose is None else _height_m(about, pose, ref),
         )  # fmt: skip
 
-    def boxes(self, ref: SweepRef) -> tuple[ObjectBox, ...] | None:
+    def _boxes(self, ref: SweepRef) -> tuple[ObjectBox, ...] | None:
         """Return the vehicles that the agent's own YAML file names, in the world; None where there is no such file."""
-        about = _about(self._scenarios[ref.scene].root, ref)
+        about = _about(self.place, ref)
         if about is None:
             return None
         vehicles = about.get("vehicles") or {}
@@ -137,7 +131,7 @@ def _open_scenario(root: Path, folder: Path, damage: list[str]) -> _Scenario:
     vehicle, roadside = (_lidar(protocol, part, folder, damage) for part in ("vehicle_base", "rsu_base"))
     step_s = _at(protocol, ("world", "fixed_delta_seconds"))
     usable = isinstance(step_s, float) and 0 < step_s < 10
-    return _Scenario(root, agents, step_s if usable else STEP_S, vehicle, roadside)
+    return _Scenario(agents, step_s if usable else STEP_S, vehicle, roadside)
 
 
 def _note_frames(damage: list[str], folder: Path, frames: Iterable[int], problem: str) -> None:

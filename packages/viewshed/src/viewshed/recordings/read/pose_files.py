@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from viewshed.geometry import Rigid
 from viewshed.io._input import open_input
-from viewshed.recordings.read._kitti_files import rigid_named, rigid_of, world_from_imu
+from viewshed.recordings.read._kitti_files import rigid_named, world_from_imu
+from viewshed.recordings.read.source import problems_of
 from viewshed.recordings.read.tf_tree import between, nearest
 from viewshed.sweep import Sweep
 
@@ -85,10 +86,7 @@ class PoseFile:
                     raise ValueError(f"line {lines[late[0] + 1]}: times must ascend, got {rows[late[0] + 1, 0]:f} s")
                 poses = tuple(_tum_pose(row, f"line {line}") for row, line in zip(rows, lines, strict=True))
                 return cls(path, poses, times_ns, by_time=True)
-            poses = tuple(
-                rigid_of(matrix[:, :3], matrix[:, 3], f"line {line}")
-                for matrix, line in zip(rows.reshape(-1, 3, 4), lines, strict=True)
-            )
+            poses = tuple(_kitti_pose(row, f"line {line}") for row, line in zip(rows, lines, strict=True))
         return cls._of_kitti(path, poses)
 
     @classmethod
@@ -102,10 +100,8 @@ class PoseFile:
             raise ValueError(
                 f"{folder} is a folder without .pose files; give a table of poses, or a folder of such files"
             )
-        try:
+        with problems_of(str(folder)):
             return cls._of_places(folder, b"\n".join(tables))
-        except ValueError as error:
-            raise ValueError(f"{folder}: {error}") from error
 
     @classmethod
     def _of_places(cls, path: Path, content: bytes) -> PoseFile:
@@ -316,6 +312,11 @@ def _numbers(content: bytes) -> tuple[NDArray[np.float64], list[int]]:
     if not rows:
         raise ValueError("must have poses, got no line with numbers")
     return np.array(rows), lines
+
+
+def _kitti_pose(row: NDArray[np.float64], where: str) -> Rigid:
+    with problems_of(where):
+        return Rigid(row.reshape(3, 4)[:, :3], row.reshape(3, 4)[:, 3])
 
 
 def _tum_pose(row: NDArray[np.float64], where: str) -> Rigid:

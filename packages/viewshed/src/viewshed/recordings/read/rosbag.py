@@ -25,7 +25,7 @@ from viewshed.io.messages.packets import UNREAD, sweep_of_ouster, sweep_of_velod
 from viewshed.io.messages.pointcloud2 import sweep_of_cloud
 from viewshed.io.ouster_packets import OusterDecoder, OusterMetadata
 from viewshed.recordings.read.bag_files import BagFile, Message, bags_in, open_bag
-from viewshed.recordings.read.source import SweepReader, SweepRef, note_damage
+from viewshed.recordings.read.source import RecordingSource, SweepRef, note_damage
 from viewshed.recordings.read.tf_tree import WORLDS, TransformBuffer, nearest
 from viewshed.sweep import Sweep
 
@@ -131,9 +131,9 @@ class Bag:
     root: Path  # the recording that it belongs to
     path: Path  # where it lies
     refs: tuple[SweepRef, ...]  # its clouds, in the order of time
-    poses: tuple[Rigid | None, ...]  # ``world_from_sensor`` of each, or None
-    covariances: tuple[F64 | None, ...]  # (6, 6) of each pose as odometry states it, or None
-    heights_m: tuple[float | None, ...]  # height of the sensor above the ground at each, or None
+    # of each ``world_from_sensor``, the covariance (6, 6) of that as odometry states it, and the height of the sensor
+    # above the ground; None for what is not known
+    places: tuple[tuple[Rigid | None, F64 | None, float | None], ...]
     encoding: str  # how its messages are written, ``cdr`` or ``ros1``
     kinds: Mapping[str, str]  # type of the messages of each topic with sweeps
     metadata: Mapping[str, str]  # of each topic with Ouster packets
@@ -157,7 +157,7 @@ def scan_bag(root: Path, scene: str, path: Path, damage: list[str], topic: str |
         return None
     contents, encoding = _Contents(), "cdr"
     try:
-        for message in file.messages((CLOUD, VELODYNE, *PANDAR, *LIVOX, SCAN, STRING, ODOMETRY, *TRANSFORMS)):
+        for message in file.messages((*_SWEEP_OF, STRING, ODOMETRY, *TRANSFORMS)):
             encoding = message.encoding
             _add_message(contents, message, damage)
         if not any(cloud.kind == CLOUD for cloud in contents.clouds) and set(OUSTER) & set(file.types.values()):
@@ -177,7 +177,7 @@ def _add_message(contents: _Contents, message: Message, damage: list[str]) -> No
     try:
         if message.encoding not in ("cdr", "ros1"):
             raise ValueError(f"messages must be written as cdr or ros1, got {message.encoding!r}")
-        if message.kind in (CLOUD, VELODYNE, *PANDAR, *LIVOX, SCAN):
+        if message.kind in _SWEEP_OF:
             t_ns, frame = _header(message)
             contents.clouds.append(_Cloud(message.topic, message.kind, t_ns, frame, message.where))
             return
@@ -285,7 +285,11 @@ def _packet_of(raw: bytes, encoding: str) -> bytes:
 def _note_topics(types: dict[str, str], contents: _Contents, damage: list[str], wanted: str | None) -> None:
     """Keep the messages of the topic that is wanted, else the preferred ones, and say which topics are not read."""
     if wanted is not None:
-        _keep_topic(contents, wanted, damage)
+        topics = Counter(cloud.topic for cloud in contents.clouds)
+        contents.clouds = [cloud for cloud in contents.clouds if cloud.topic.strip("/") == wanted.strip("/")]
+        if not contents.clouds:
+            known = ", ".join(f"{topic} ({count} sweeps)" for topic, count in sorted(topics.items())) or "none"
+            note_damage(damage, f"topic must be one with sweeps, {known}, got {wanted!r}")
         return
     held = {cloud.kind for cloud in contents.clouds}
     preferred = next((kinds for kinds in RETURNS if held & set(kinds)), ())
@@ -297,21 +301,13 @@ def _note_topics(types: dict[str, str], contents: _Contents, damage: list[str], 
             note_damage(contents.notes if with_clouds else damage, line)
         elif kind == CLOUD and topic not in with_clouds:
             note_damage(contents.notes if with_clouds else damage, f"topic {topic} has no cloud")
-        elif preferred and kind in (VELODYNE, *PANDAR, *LIVOX, SCAN) and topic not in with_clouds:
+        elif preferred and kind in _SWEEP_OF and topic not in with_clouds:
             line = f"topic {topic} ({kind}) is not read beside {', '.join(sorted(with_clouds))}"
             note_damage(contents.notes, line)
     if not with_clouds and CLOUD not in types.values():
-        topics = ", ".join(f"{topic} ({kind})" for topic, kind in sorted(types.items())) or "none"
-        wanted = "sensor_msgs/msg/PointCloud2 or LaserScan, packets of Velodyne, Ouster or Hesai"
-        note_damage(damage, f"no topic has {wanted}; topics that exist: {topics}")
-
-
-def _keep_topic(contents: _Contents, wanted: str, damage: list[str]) -> None:
-    topics = Counter(cloud.topic for cloud in contents.clouds)
-    contents.clouds = [cloud for cloud in contents.clouds if cloud.topic.strip("/") == wanted.strip("/")]
-    if not contents.clouds:
-        known = ", ".join(f"{topic} ({count} sweeps)" for topic, count in sorted(topics.items())) or "none"
-        note_damage(damage, f"topic must be one with sweeps, {known}, got {wanted!r}")
+        there = ", ".join(f"{topic} ({kind})" for topic, kind in sorted(types.items())) or "none"
+        needed = "sensor_msgs/msg/PointCloud2 or LaserScan, packets of Velodyne, Ouster or Hesai"
+        note_damage(damage, f"no topic has {needed}; topics that exist: {there}")
 
 
 def _add_odometry(contents: _Contents, damage: list[str]) -> None:
@@ -370,19 +366,19 @@ def _bag_of(root: Path, scene: str, path: Path, contents: _Contents, encoding: s
         None if (world := worlds[cloud.frame]) is None else contents.transforms.lookup(world, cloud.frame, cloud.t_ns)
         for cloud in clouds
     )
-    covariances = tuple(
-        _covariance(contents, cloud, worlds[cloud.frame], pose) for cloud, pose in zip(clouds, poses, strict=True)
-    )
     for topic in topics:
         at = [poses[index] for index, cloud in enumerate(clouds) if cloud.topic == topic and worlds[cloud.frame]]
         if at.count(None):
             problem = "lie outside the times of the transforms and have no pose"
             note_damage(contents.notes, f"{at.count(None)} of {len(at)} clouds of {topic} {problem}")
     _note_tilting(contents, clouds)
-    heights_m = tuple(_height_m(contents, cloud) for cloud in clouds)
+    places = tuple(
+        (pose, _covariance(contents, cloud, worlds[cloud.frame], pose), _height_m(contents, cloud))
+        for cloud, pose in zip(clouds, poses, strict=True)
+    )
     kinds = {cloud.topic: cloud.kind for cloud in clouds}
     metadata = {topic: text for topic, text in contents.metadata.items() if topic in kinds}
-    return Bag(root, path, refs, poses, covariances, heights_m, encoding, kinds, metadata, tuple(contents.notes))
+    return Bag(root, path, refs, places, encoding, kinds, metadata, tuple(contents.notes))
 
 
 def _world(contents: _Contents, frame: str) -> str | None:
@@ -429,22 +425,22 @@ def _cached_decoder(metadata: str) -> OusterDecoder:
     return OusterDecoder(OusterMetadata.parse(metadata))
 
 
-class BagRecording(SweepReader):
+class BagRecording(RecordingSource):
     """One bag or several, from :meth:`open`; each is a scene, each topic with sweeps an agent.
 
     One pass over a bag lists its clouds and takes its transforms; the clouds themselves are read when they are needed.
     """
 
-    def __init__(self, bags: Mapping[str, Bag], problems: Sequence[str]) -> None:
-        self._bags = bags
+    def __init__(self, place: Path, bags: Mapping[str, Bag], problems: Sequence[str]) -> None:
+        self.place, self._bags = place, bags
         self.problems = problems
-        self.scenes = {name: bag.refs for name, bag in bags.items()}
-        self.notes = tuple(dict.fromkeys(f"{bag.path}: {line}" for bag in bags.values() for line in bag.notes))
+        self.sweeps = {name: bag.refs for name, bag in bags.items()}
+        self.remarks = tuple(dict.fromkeys(f"{bag.path}: {line}" for bag in bags.values() for line in bag.notes))
         self._open: dict[str, BagFile] = {}
         self._process = os.getpid()
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return BagRecording, (self._bags, self.problems)
+        return BagRecording, (self.place, self._bags, self.problems)
 
     @classmethod
     def open(cls, place: Path, topic: str | None = None) -> BagRecording:
@@ -462,9 +458,9 @@ class BagRecording(SweepReader):
                 bags[scene] = bag
         if not bags:
             raise ValueError("; ".join(damage))
-        return cls(bags, tuple(damage))
+        return cls(place, bags, tuple(damage))
 
-    def read(self, ref: SweepRef) -> Sweep:
+    def _read(self, ref: SweepRef) -> Sweep:
         """Return a sweep in the frame of its header, with its pose where transforms lead to it."""
         bag = self._bags[ref.scene]
         try:
@@ -473,10 +469,10 @@ class BagRecording(SweepReader):
             raise
         except Exception as error:  # the decoder of rosbags raises a dozen types on damaged messages
             raise ValueError(f"{ref.file}: {ref.sensor} at {ref.t_ns} ns: {one_line(error)}") from error
+        pose, covariance, height_m = bag.places[ref.index]
         return sweep.replace(
-            agent=ref.agent, t_ns=ref.t_ns, world_from_sensor=bag.poses[ref.index],
-            sensor_height_m=bag.heights_m[ref.index], pose_covariance=bag.covariances[ref.index],
-        )  # fmt: skip
+            agent=ref.agent, t_ns=ref.t_ns, world_from_sensor=pose, sensor_height_m=height_m, pose_covariance=covariance
+        )
 
     def _sweep(self, bag: Bag, ref: SweepRef) -> Sweep:
         kind, decode = bag.kinds[ref.sensor], decoder(bag.encoding)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
@@ -107,20 +108,57 @@ class SweepSource(Protocol):
         ...
 
 
-class SweepReader(ABC):
-    """What one layout says of a recording that :class:`RecordingSource` has opened; errors may be of any type."""
+class RecordingSource(ABC):
+    """An opened recording as a :class:`SweepSource`: whatever reading raises is one line that names a file."""
 
-    scenes: Mapping[str, Sequence[SweepRef]]  # scene → its sweeps, in the order of :meth:`SweepSource.refs`
+    place: Path  # where it lies
+    sweeps: Mapping[str, Sequence[SweepRef]]  # scene → its sweeps, in the order of :meth:`SweepSource.refs`
     problems: Sequence[str] = ()  # the lines of :meth:`SweepSource.damage`; reading may add to them
-    notes: Sequence[str] = ()  # the lines of :meth:`SweepSource.notes`
+    remarks: Sequence[str] = ()  # the lines of :meth:`SweepSource.notes`
 
     @abstractmethod
-    def read(self, ref: SweepRef) -> Sweep:
-        """Return a sweep."""
+    def _read(self, ref: SweepRef) -> Sweep:
+        """Return a sweep; errors may be of any type."""
 
-    def boxes(self, ref: SweepRef) -> tuple[ObjectBox, ...] | None:
+    def _boxes(self, ref: SweepRef) -> tuple[ObjectBox, ...] | None:
         """Return the annotated objects at the time of a sweep; None where nobody annotated it."""
         return None
+
+    def scenes(self) -> tuple[str, ...]:
+        """Return the names of the scenes, in the recording's order."""
+        return tuple(self.sweeps)
+
+    def refs(self, scene: str) -> Sequence[SweepRef]:
+        """Return the sweeps of a scene; errors as :meth:`SweepSource.refs`."""
+        if scene not in self.sweeps:
+            names = one_line(", ".join(self.sweeps), 200)
+            raise ValueError(f"{self.place}: scene must be one of {names}, got {scene!r}")
+        return self.sweeps[scene]
+
+    def read(self, ref: SweepRef) -> Sweep:
+        """Return a sweep; errors as :meth:`SweepSource.read`."""
+        self._check(ref)
+        with errors_named(ref.file, self.place.parent):
+            return self._read(ref)
+
+    def boxes(self, ref: SweepRef) -> tuple[ObjectBox, ...] | None:
+        """Return the annotated objects at the time of a sweep; errors as :meth:`SweepSource.boxes`."""
+        self._check(ref)
+        with errors_named(ref.file, self.place.parent):
+            return self._boxes(ref)
+
+    def damage(self) -> tuple[str, ...]:
+        """Return one line for each thing that was found wrong so far and that no ref stands for."""
+        return tuple(self.problems)
+
+    def notes(self) -> tuple[str, ...]:
+        """Return one line for each thing that the recording lacks, or that is not read."""
+        return tuple(self.remarks)
+
+    def _check(self, ref: SweepRef) -> None:
+        refs = self.refs(ref.scene)
+        if not 0 <= ref.index < len(refs) or (refs[ref.index].file, refs[ref.index].key) != (ref.file, ref.key):
+            raise ValueError(f"ref must be one of {self.place}, got {ref.file}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,56 +168,11 @@ class SourceKind:
     layout: str  # what is looked for, in a few words, for messages
     # yields the parts of a place (itself, or what lies in it) that have this layout, from names alone
     find: Callable[[Path], Iterable[object]]
-    open: Callable[[Path], SweepReader]  # opens a place; whatever it raises says why it cannot
+    open: Callable[[Path], RecordingSource]  # opens a place; whatever it raises says why it cannot
 
     def fits(self, place: Path) -> bool:
         """Return whether a folder (or file) has this layout, from names alone."""
         return any(True for _ in self.find(place))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class RecordingSource:
-    """An opened recording as a :class:`SweepSource`: whatever its reader raises is one line that names a file."""
-
-    place: Path  # where it lies
-    reader: SweepReader  # what its layout says of it
-
-    def scenes(self) -> tuple[str, ...]:
-        """Return the names of the scenes, in the recording's order."""
-        return tuple(self.reader.scenes)
-
-    def refs(self, scene: str) -> Sequence[SweepRef]:
-        """Return the sweeps of a scene; errors as :meth:`SweepSource.refs`."""
-        scenes = self.reader.scenes
-        if scene not in scenes:
-            names = one_line(", ".join(scenes), 200)
-            raise ValueError(f"{self.place}: scene must be one of {names}, got {scene!r}")
-        return scenes[scene]
-
-    def read(self, ref: SweepRef) -> Sweep:
-        """Return a sweep; errors as :meth:`SweepSource.read`."""
-        self._check(ref)
-        with errors_named(ref.file, self.place.parent):
-            return self.reader.read(ref)
-
-    def boxes(self, ref: SweepRef) -> tuple[ObjectBox, ...] | None:
-        """Return the annotated objects at the time of a sweep; errors as :meth:`SweepSource.boxes`."""
-        self._check(ref)
-        with errors_named(ref.file, self.place.parent):
-            return self.reader.boxes(ref)
-
-    def damage(self) -> tuple[str, ...]:
-        """Return one line for each thing that was found wrong so far and that no ref stands for."""
-        return tuple(self.reader.problems)
-
-    def notes(self) -> tuple[str, ...]:
-        """Return one line for each thing that the recording lacks, or that is not read."""
-        return tuple(self.reader.notes)
-
-    def _check(self, ref: SweepRef) -> None:
-        refs = self.refs(ref.scene)
-        if not 0 <= ref.index < len(refs) or (refs[ref.index].file, refs[ref.index].key) != (ref.file, ref.key):
-            raise ValueError(f"ref must be one of {self.place}, got {ref.file}")
 
 
 def each_sweep(
@@ -229,6 +222,26 @@ def note_damage(damage: list[str], problem: str) -> None:
         damage.append(one_line(problem))
     elif len(damage) == _DAMAGE_LINES_MAX:
         damage.append(f"there is more damage; only the first {_DAMAGE_LINES_MAX} lines are named")
+
+
+@contextmanager
+def problems_of(what: str) -> Iterator[None]:
+    """Begin what is wrong inside with the name of what it is about."""
+    try:
+        yield
+    except (ValueError, OSError) as error:
+        raise ValueError(one_line(f"{what}: {error}")) from error
+
+
+def numbered(files: Iterable[Path], damage: list[str], how: str = "a number") -> list[Path]:
+    """Return files in the order of the numbers that they are named by; others are named in ``damage``."""
+    found = []
+    for file in sorted(files):
+        if file.stem.isascii() and file.stem.isdecimal() and len(file.stem) <= 18:
+            found.append(file)
+        else:
+            note_damage(damage, f"{file}: must be named by {how}; it is left out")
+    return sorted(found, key=lambda file: int(file.stem))
 
 
 def read_optional(path: Path, read: Callable[[Path], Any], damage: list[str]) -> Any:

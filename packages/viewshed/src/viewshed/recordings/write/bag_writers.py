@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from viewshed._extras import needed_for
 from viewshed._files import draft_folder, require_parent
@@ -25,18 +25,6 @@ class Schema:
     encoding: str  # how ``definition`` is written: ``ros2msg`` or ``protobuf``
     message_encoding: str  # how messages are written: ``cdr``, ``ros1`` or ``protobuf``
     definition: bytes  # the type's definition
-
-
-class BagWriter(Protocol):
-    """One bag being written; messages come in the order of time."""
-
-    def write(self, topic: str, schema: Schema, t_ns: int, raw: bytes, *, latched: bool = False) -> None:
-        """Add a message."""
-        ...
-
-    def close(self) -> None:
-        """Write what belongs at the end."""
-        ...
 
 
 _LATCHED_QOS = """\
@@ -200,15 +188,10 @@ def _writing(path: Path) -> Iterator[None]:
         raise OSError(errno.EIO if number is None else number, repair, str(path)) from error
 
 
-class _NamedWriter:
-    """Writes a bag; its errors name it.
+class BagWriter:
+    """One bag being written; messages come in the order of time, and errors name it."""
 
-    Args:
-        bag: what writes.
-        path: of the bag.
-    """
-
-    def __init__(self, bag: BagWriter, path: Path) -> None:
+    def __init__(self, bag: McapWriter | Ros1Writer | SqliteWriter, path: Path) -> None:
         self._bag, self._path = bag, path
 
     def write(self, topic: str, schema: Schema, t_ns: int, raw: bytes, *, latched: bool = False) -> None:
@@ -243,10 +226,10 @@ def open_bag_writer(path: Path, profile: str = "ros2") -> Iterator[BagWriter]:
     with draft_folder(path) as draft:
         inner = draft / path.name
         with _writing(path):
-            bag: BagWriter = (
-                McapWriter(inner, profile) if kind == ".mcap" else Ros1Writer(inner) if kind else SqliteWriter(inner)
-            )
-        writer = _NamedWriter(bag, path)
+            if kind == ".mcap":
+                writer = BagWriter(McapWriter(inner, profile), path)
+            else:
+                writer = BagWriter(Ros1Writer(inner) if kind else SqliteWriter(inner), path)
         try:
             yield writer
         except Exception:

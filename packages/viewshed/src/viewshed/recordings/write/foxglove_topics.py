@@ -11,13 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from viewshed._extras import needed_for
-from viewshed.agents.legend import LEGEND, ShownTracks, tracks_of_center
+from viewshed.agents.legend import LEGEND, ShownTracks, tracks_of_agent, tracks_of_center
 from viewshed.fov.estimate import FovEstimate
 from viewshed.fov.polygons import star_ring
 from viewshed.geometry import Rigid, quaternion_from_rotation
 from viewshed.io.export.ros import visibility_layer
 from viewshed.io.messages.pointcloud2 import cloud_table
 from viewshed.monitor.report import sector_corners
+from viewshed.objects.object_stream import SeenObjects
 from viewshed.recordings.write.bag_writers import Schema
 from viewshed.recordings.write.moment import MAP, Moment, Severity
 from viewshed.recordings.write.ros_topics import rigid_of_box
@@ -64,16 +65,19 @@ def foxglove_messages(moment: Moment) -> Iterator[tuple[str, Schema, bytes]]:
         level = getattr(fox.LogLevel, _LEVELS[moment.verdict()])
         made.append(("/log", fox.Log(timestamp=stamp, level=level, message=sentence, name=agent)))
     if moment.answer.objects is not None:
-        made.append((f"/{agent}/lidar/objects", fox.SceneUpdate(entities=_object_entities(moment))))
+        made.append(
+            (f"/{agent}/lidar/objects", fox.SceneUpdate(entities=_object_entities(moment, moment.answer.objects)))
+        )
     if moment.round is not None:
-        made.append(("/command_center/objects", fox.SceneUpdate(entities=_joint_entities(moment))))
-        joint = moment.round.joint
-        view = joint.estimate(moment.round.t_ns)
-        made.append(("/command_center/fov", _grid(view, _stamp(moment.round.t_ns), MAP, joint.world_from_grid)))
+        done, at = moment.round, _stamp(moment.round.t_ns)
+        joint = _tracks_entity(tracks_of_center(done.picture), at, MAP)
+        made.append(("/command_center/objects", fox.SceneUpdate(entities=[joint])))
+        view = done.joint.estimate(done.t_ns)
+        made.append(("/command_center/fov", _grid(view, at, MAP, done.joint.world_from_grid)))
         level = fox.LogLevel.Warning
         made += [
             ("/log", fox.Log(timestamp=stamp, level=level, message=sentence, name="command_center"))
-            for sentence in moment.round.sentences()
+            for sentence in done.sentences()
         ]
     for topic, message in made:
         schema = message.get_schema()
@@ -95,6 +99,7 @@ def _plain_messages(moment: Moment) -> Iterator[tuple[str, Schema, bytes]]:
             yield topic, _JSON, json.dumps(value, ensure_ascii=False).encode()
 
 
+_HOST = "127.0.0.1"
 _JSON = Schema("viewshed", "jsonschema", "json", b'{"type": "object"}')
 
 
@@ -177,22 +182,14 @@ def _entities(moment: Moment) -> list[Any]:
     return made
 
 
-def _object_entities(moment: Moment) -> list[Any]:
+def _object_entities(moment: Moment, objects: SeenObjects) -> list[Any]:
     """Return detections, and tracks in the colors of their explanations, each with its reason beside it."""
-    fox, objects, tracks = foxglove_types(), moment.answer.objects, moment.tracks()
-    if objects is None or tracks is None:
-        return []
-    stamp = _stamp(moment.t_ns)
+    fox, stamp = foxglove_types(), _stamp(moment.t_ns)
     found = [_box_cube(box, (0.6, 0.6, 0.6, 0.25)) for box in objects.detections.boxes]
     return [
         fox.SceneEntity(timestamp=stamp, frame_id=moment.level_frame, id="detections", cubes=found),
-        _tracks_entity(tracks, stamp, moment.tracks_frame),
+        _tracks_entity(tracks_of_agent(objects), stamp, moment.tracks_frame),
     ]
-
-
-def _joint_entities(moment: Moment) -> list[Any]:
-    done = moment.round
-    return [] if done is None else [_tracks_entity(tracks_of_center(done.picture), _stamp(done.t_ns), MAP)]
 
 
 def _tracks_entity(tracks: ShownTracks, stamp: Any, frame: str) -> Any:
@@ -235,12 +232,8 @@ def _vector(xyz: Iterable[float]) -> Any:
 
 
 @contextmanager
-def foxglove_server(port: int, host: str = "127.0.0.1") -> Iterator[Callable[[Moment], None]]:
-    """Serve moments live to Foxglove and yield what takes them.
-
-    Args:
-        port: of the server; 0 takes one that is free.
-        host: where it listens; the own machine alone if not given.
+def foxglove_server(port: int) -> Iterator[Callable[[Moment], None]]:
+    """Serve moments live to Foxglove on the own machine alone, and yield what takes them; port 0 is one that is free.
 
     Raises:
         ImportError: foxglove-sdk is not installed.
@@ -251,9 +244,9 @@ def foxglove_server(port: int, host: str = "127.0.0.1") -> Iterator[Callable[[Mo
 
     context = foxglove.Context()
     try:
-        server = foxglove.start_server(name="viewshed", host=host, port=port, context=context)
+        server = foxglove.start_server(name="viewshed", host=_HOST, port=port, context=context)
     except Exception as error:  # of a type of its own
-        raise OSError(f"port {port} of {host} cannot be served: {error}; choose another --foxglove") from error
+        raise OSError(f"port {port} of {_HOST} cannot be served: {error}; choose another --foxglove") from error
     channels: dict[str, Any] = {}
 
     def record(moment: Moment) -> None:
