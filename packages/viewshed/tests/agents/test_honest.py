@@ -91,9 +91,9 @@ def test_a_model_learns_who_reports_and_what_lies_elsewhere() -> None:
     silent[:, 3] = True
     withheld = reports(silent, np.array([[0.45, 0.02, 0.45, 0.45]] * 3), rng, before=3)
     ratio, evidence = model.withheld_ratio(withheld), model.withholding(withheld)
-    assert (ratio[:, 0] > ratio[:, 1] + 1.0).all()
+    assert (ratio[:, 0] > ratio[:, 1] + 0.5).all()
     assert (ratio[:, 3] == 0.0).all()
-    assert evidence[0] > 2.0 > 0.5 > evidence[1]
+    assert evidence[0] > max(evidence[1], 0.0) + 0.5
     assert evidence[3] < 0.0
     # Its silence speaks less against the object than that of an agent that never reported it.
     place, own = place_columns(withheld), own_box_columns(withheld)[0]
