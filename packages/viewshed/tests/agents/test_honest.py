@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -29,15 +31,15 @@ GRID = BevGrid(128, 32.0)
 CAR = np.array([12.0, 3.0, 0.8, 4.2, 1.8, 1.5, 0.0])
 
 
-def reports(seen: np.ndarray, surface: np.ndarray, rng: np.random.Generator) -> ObjectReports:
-    """Return reports of agents whose views hold so much surface where each object is."""
+def reports(seen: np.ndarray, surface: np.ndarray, rng: np.random.Generator, before: int = 0) -> ObjectReports:
+    """Return reports of agents whose views hold so much surface where each object is, all reported so often before."""
     count, agents = seen.shape
     cells = np.zeros((count, agents, len(BoxCells._fields)))
     cells[..., 0], cells[..., 1] = surface, 1.0 - surface
     return ObjectReports(
         seen, np.ones(seen.shape, bool), np.full(seen.shape, 0.9), rng.uniform(5, 45, seen.shape),
         np.zeros(agents, np.int64), np.full(count, 4.5), cells, np.where(seen[..., None], cells, 0.0),
-        np.full(seen.shape, 9.0), np.zeros(seen.shape, np.int64), np.zeros(seen.shape, np.int64),
+        np.full(seen.shape, 9.0), np.full(seen.shape, before), np.zeros(seen.shape, np.int64),
         *(np.full(seen.shape, np.nan),) * 2,
     )  # fmt: skip
 
@@ -62,8 +64,10 @@ def test_a_model_learns_who_reports_and_what_lies_elsewhere() -> None:
         seen[:5] = np.eye(4, dtype=bool)[rng.integers(0, 4, 5)]
         one = np.eye(4, dtype=bool)[rng.integers(0, 4, 20)]
         elsewhere = reports(one, np.zeros((20, 4)), rng)
-        said = reports(seen, surface, rng)
-        examples.append(HonestExamples.of(said, seen.sum(axis=1) > 1, said, elsewhere, elsewhere))
+        said = reports(seen, surface, rng, before=3)
+        chosen = seen & (rng.random(seen.shape) < 0.1)
+        left_out = replace(said, seen=seen & ~chosen, able=chosen)
+        examples.append(HonestExamples.of(said, seen.sum(axis=1) > 1, said, elsewhere, elsewhere, left_out))
     model = fit_honest(examples, Surprises.blank())
     surface = np.array([[0.45, 0.02, 0.45, 0.0]])
     said = reports(np.array([[True, False, True, True]]), surface, rng)
@@ -82,6 +86,20 @@ def test_a_model_learns_who_reports_and_what_lies_elsewhere() -> None:
     free, covered = (model.silent_views(place_columns(each)[0], each.silent_now)[0, 0] for each in (alone, hedge))
     assert free[0] == covered[0] == 0.0
     assert (free[1:] > covered[1:] + 0.5).all()
+    # Who is silent about much of which it holds the surface withholds it; who holds little of it is honest.
+    silent = np.zeros((3, 4), bool)
+    silent[:, 3] = True
+    withheld = reports(silent, np.array([[0.45, 0.02, 0.45, 0.45]] * 3), rng, before=3)
+    ratio, evidence = model.withheld_ratio(withheld), model.withholding(withheld)
+    assert (ratio[:, 0] > ratio[:, 1] + 0.5).all()
+    assert (ratio[:, 3] == 0.0).all()
+    assert evidence[0] > max(evidence[1], 0.0) + 0.5
+    assert evidence[3] < 0.0
+    # Its silence speaks less against the object than that of an agent that never reported it.
+    place, own = place_columns(withheld), own_box_columns(withheld)[0]
+    known, unknown = (model.there(each, place, own)[:, 0] for each in (withheld, replace(withheld, before=silent * 0)))
+    assert (unknown < known).all()
+    assert (known < 0.0).all()
     assert (np.diff(model.found, axis=-1) >= 0).all()  # and never less where more is claimed
     again = HonestModel.from_json(model.to_json())
     assert np.allclose(again.reported.of_bins, model.reported.of_bins, atol=1e-3)

@@ -75,20 +75,39 @@ def test_what_all_report_is_one_track_each_and_believed() -> None:
     assert not last.verdicts.suspects.any()
 
 
-def test_who_withholds_what_its_own_view_holds_is_told_by_how_long() -> None:
-    """All report both cars; then c leaves one out for four looks, of which the first may be its detector's miss."""
-    said = [[CARS] * 3] * 5 + [[CARS, CARS, CARS[:1]]] * 4 + [[CARS] * 3]
-    withheld = [picture.verdicts.answers[:, QUESTIONS.index("withheld")].tolist() for picture in run(said)]
-    assert withheld[4:] == [[0.0, 0.0, each] for each in (0.0, 0.0, 1.0, 2.0, 3.0, 0.0)]
-    # Not yet known: reported once.
-    early = run([[CARS] * 3] + [[CARS, CARS, CARS[:1]]] * 4)
-    assert not early[-1].verdicts.answers[:, QUESTIONS.index("withheld")].any()
+def withheld(said: list[list[AgentReport]]) -> np.ndarray:
+    """Return the evidence (T, A) that agents withhold objects."""
+    pictures = follow(CommandCenter(NAMES), said)
+    return np.array([picture.verdicts.answers[:, QUESTIONS.index("withheld")] for picture in pictures])
 
 
-def test_who_no_longer_holds_a_surface_withholds_nothing() -> None:
+def test_who_withholds_what_it_had_reported_is_told_by_how_long() -> None:
+    """All report both cars; then c leaves one out for some looks, of which the first may be its detector's miss."""
     honest = [report(agent, CARS) for agent in AGENTS]
-    last = follow(CommandCenter(NAMES), [honest] * 5 + [[*honest[:2], report(AGENTS[2], CARS[:1])]] * 4)[-1]
-    assert not last.verdicts.answers[:, QUESTIONS.index("withheld")].any()
+    without = [*honest[:2], report(AGENTS[2], CARS[:1], standing=CARS)]
+    evidence = withheld([honest] * 5 + [without] * 6 + [honest])
+    assert (evidence[:, :2] < 0.0).all()
+    assert (np.diff(evidence[4:9, 2]) > -0.2).all()
+    assert evidence[10, 2] > evidence[5, 2] + 0.5
+    assert evidence[-1, 2] < 0.0
+    # Where its view shows that the place is empty now, it says less.
+    gone = withheld([honest] * 5 + [[*honest[:2], report(AGENTS[2], CARS[:1])]] * 6)
+    assert gone[-1, 2] < evidence[10, 2]
+    # Not yet known: reported once.
+    assert (withheld([honest] + [without] * 6)[-1] <= 0.0).all()
+
+
+def test_looks_are_counted_and_not_reports() -> None:
+    honest = [report(agent, CARS) for agent in AGENTS]
+    without = [*honest[:2], report(AGENTS[2], CARS[:1], standing=CARS)]
+    center, often = CommandCenter(NAMES), CommandCenter(NAMES)
+    for look in range(10):
+        said = honest if look < 5 else without
+        slow = center.add(0.5 * look, said)
+        for part in range(5):
+            fast = often.add(0.5 * look + 0.1 * part, said)
+    assert np.abs(slow.said.silent - fast.said.silent).max() <= 1
+    assert np.abs(slow.said.before - fast.said.before).max() <= 2  # of 10 looks and 50 reports
 
 
 def test_what_one_invents_and_two_deny_is_not_believed_and_it_is_suspected() -> None:
@@ -106,10 +125,8 @@ def test_what_one_invents_and_two_deny_is_not_believed_and_it_is_suspected() -> 
 def test_what_one_conceals_stays_and_it_is_suspected() -> None:
     said = [[CARS, CARS, CARS]] * 2 + [[CARS[:0], CARS, CARS]] * 8
     [*_, last] = run(said)
-    # Its own view holds something there. What one of three denies so long was seldom an object in the scenes of the
-    # model, so that this probability says little; both stay in the picture, and more speaks against the liar.
     assert len(last.existence) == 2
-    assert last.existence.min() > 0.1
+    assert last.believed.all()
     assert last.verdicts.evidence.argmax() == 0
 
 

@@ -29,7 +29,7 @@ def reports_of(seen: np.ndarray, chance: np.ndarray, rng: np.random.Generator | 
     return Reports(
         np.arange(first, first + count), seen, able, able, np.log(odds / (1 - odds)),
         np.zeros((5, 3)), np.zeros(seen.shape), np.zeros((2, *seen.shape)), np.zeros(2), np.full(seen.shape, -3.0),
-        there, 0.0, xy_m, np.full(seen.shape, STD_M),
+        there, 0.0, xy_m, np.full(seen.shape, STD_M), np.zeros(seen.shape, np.int8),
     )  # fmt: skip
 
 
@@ -67,6 +67,18 @@ def test_a_third_view_tells_who_lies(said: list[int]) -> None:
     assert verdicts.trust[3] < 0.45
     assert (verdicts.trust[:3] > 0.9).all()
     assert np.allclose(verdicts.existence, said[0], atol=0.05)
+
+
+def test_a_lie_that_lasts_explains_silence_that_lasts() -> None:
+    """An honest silence lasts, so that each further look says little; a lie lasts as well, and explains it as well."""
+    said, trust, follows = np.array([[1, 1, 1, 0]], bool), Trust(4), Trust(4)
+    for look in range(8):
+        reports = reports_of(said, np.array([[0.95, 0.95, 0.95, 0.95 if look == 0 else 0.1]]))
+        first = replace(reports, repeats=np.int8([[0, 0, 0, 0]]))
+        again = replace(reports, repeats=np.int8([[1, 1, 1, 1]]) if look else first.repeats)
+        forgets, keeps = trust.add(first, 0.5).evidence[3], follows.add(again, 0.5).evidence[3]
+        assert keeps >= forgets
+    assert keeps > forgets + 0.1
 
 
 @pytest.mark.parametrize("said", [[1, 1, 1, 0], [0, 0, 0, 1]])

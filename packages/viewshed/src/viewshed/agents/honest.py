@@ -10,18 +10,21 @@ on ground of all kinds:
 - *alone*, *shared*: log-ratio that a report is put at a place where nobody reports anything, over one that an honest
   agent makes alone, or several together, by what the views of those show there who could report it and do not;
 - *invented*: the same by what the reporter's own view shows, which may be forged;
+- *withheld*: log-ratio that an agent is silent about an object because it withholds it from now on, over one that it
+  reported and is silent about honestly, by all of that; *withheld_unseen*: the same without its own view, which may be
+  forged;
 - *displaced*: log-ratio that the cells of a box are those of one that was moved, over those of an honest one;
 - *real*: log-odds that what is reported is an object, by the same cells;
 - ``views``: how rare numbers of comparisons of views are.
 
-No lie is needed to fit them: what is put elsewhere, or moved, is an honest box put elsewhere.
+No lie is needed to fit them: what is put elsewhere, moved or withheld is an honest box put elsewhere, moved or left out.
 """
 
 from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 from importlib import resources
 from typing import Any, Self
@@ -42,7 +45,13 @@ NO_DETECTION_M = 99.0
 """Distance to the next detection of an agent that has none."""
 
 MOST_BEFORE, MOST_SILENT = 3, 2
-"""Most earlier reports of an object, and most times in a row without one since, that are counted."""
+"""Most looks with a report of an object, and most in a row without one since, that count for *reported*."""
+
+KNOWN = 2
+"""An agent withholds only what it reported at so many looks."""
+
+WITHHELD_SHARES, WITHHELD_PRIOR = (0.05, 0.2, 0.5), 0.03
+"""Shares of the objects that who withholds some may withhold, all as likely; chance that any one is withheld."""
 
 MOST_OTHERS, MOST_DENIERS = 4, 2
 """More agents that report an object, or see its place and are silent, are as good as these."""
@@ -59,10 +68,15 @@ _BOUNDS: dict[str, tuple[float, ...]] = {
     "range_m": (6.0, 10.0, 15.0, 25.0, 35.0, 43.0),
     "size_m": (1.3, SMALL_M, 6.0),
     "kept": (0.3, 0.7, 1.4),
-    "returns": (8.0, 20.0, 60.0),
+    "returns": (8.0, 20.0, 60.0, 150.0),
+    "looks": (1.5, 2.5, 3.5, 4.5, 5.5),
+    "others": (1.5, 2.5, 3.5),
     "apart_m": (1.5, 2.5, 3.5, 5.0, 8.0),
 } | CELL_BOUNDS
 """Bounds of the bins of each measure."""
+
+_ASKED_ALONE = ("hidden", "ring", "near_free", "first_m", "ring_free")
+"""Measures of cells that count by themselves."""
 
 _LEAST_SURFACE = 0.03
 """Whether a surface still stands is asked of those that filled such a share of a box."""
@@ -86,8 +100,8 @@ class ObjectReports:
     cells: F64  # (J, A, 8) ``BoxCells`` of the object's box in the agent's view
     own_cells: F64  # (J, A, 8) the same of the agent's own box; 0 where it reports none
     apart_m: F64  # (J, A) from the object to the agent's next detection of another object
-    before: NDArray[np.int64]  # (J, A) how often the agent reported the object before
-    silent: NDArray[np.int64]  # (J, A) how often in a row it could and did not, since its last report if there is one
+    before: NDArray[np.int64]  # (J, A) looks at which the agent reported the object before
+    silent: NDArray[np.int64]  # (J, A) looks in a row at which it could and did not, since its last report if any
     surface: F64  # (J, A) share of surface that its view held there at its last report; NaN before the first one
     returns: F64  # (J, A) of the object at its last report; NaN before the first one
 
@@ -109,6 +123,17 @@ class ObjectReports:
         """Return how many others report each object, and how many deny it: (J, A) each."""
         reporters, deniers = self.seen.astype(np.int64), (self.sees & ~self.seen).astype(np.int64)
         return reporters.sum(axis=1, keepdims=True) - reporters, deniers.sum(axis=1, keepdims=True) - deniers
+
+    @property
+    def withheld(self) -> Mask:
+        """(J, A) bool, who knows the object, could report it as others do, and does not."""
+        return self.silent_now & (self.before >= KNOWN) & self.seen.any(axis=1, keepdims=True)
+
+    @property
+    def repeats(self) -> NDArray[np.int8]:
+        """(J, A) 1 where an agent reports the object, or not, as at its last look, -1 where it does not, 0 at the first."""
+        same = np.where(self.seen == (self.silent == 0), 1, -1)
+        return np.where(self.before + self.silent > 0, same, 0).astype(np.int8)
 
     @property
     def silent_now(self) -> Mask:
@@ -162,7 +187,7 @@ def _cell_bins(reports: ObjectReports, cells: F64) -> tuple[Bins, tuple[NDArray[
     kind = (np.broadcast_to(reports.height, shape).astype(np.int32), HEIGHTS)
     for codes in ((ranges, size, kind), (surface, kind), (ranges, surface), (surface, free)):
         bins.add(*codes)
-    for name in ("hidden", "ring", "near_free", "first_m", "ring_free"):
+    for name in _ASKED_ALONE:
         bins.add(bins.of(name, cells[..., _COLUMNS[name]]))
     return bins, kind
 
@@ -174,13 +199,9 @@ def reported_columns(reports: ObjectReports) -> tuple[Columns, int]:
     past = (before * (MOST_SILENT + 1) + silent, (MOST_BEFORE + 1) * (MOST_SILENT + 1))
     surface = bins.of("surface", reports.cells[..., _COLUMNS["surface"]])
     bins.add(bins.of("visible", reports.visible), surface)
-    # Whether the surface still stands that was there when the agent reported the object.
-    now = reports.cells[..., _COLUMNS["surface"]]
-    kept, count = bins.of("kept", now / np.maximum(np.nan_to_num(reports.surface), 1e-3))
-    held = (np.where(np.nan_to_num(reports.surface) > _LEAST_SURFACE, kept, count), count + 1)
     bins.add(past, kind)
     bins.add(past, surface)
-    bins.add(past, held)
+    bins.add(past, _kept_bins(reports, bins))
     bins.add(past, bins.of("returns", np.nan_to_num(reports.returns)))
     bins.add(bins.of("apart_m", reports.apart_m), bins.of("size_m", reports.sizes_m))
     return bins.columns(), bins.size
@@ -196,6 +217,36 @@ def own_box_columns(reports: ObjectReports) -> tuple[Columns, int]:
     """Return the columns (J, A, F) of what the agent's own view says of its own box, and how many there are."""
     bins, _ = _cell_bins(reports, reports.own_cells)
     return bins.columns(), bins.size
+
+
+def withheld_columns(reports: ObjectReports, *, own_view: bool) -> tuple[Columns, int]:
+    """Return the columns (J, A, F) of what an agent is silent about, with its own view or without it, and their number."""
+    shape = reports.seen.shape
+    bins = Bins(shape, _BOUNDS)
+    height = (np.broadcast_to(reports.height, shape).astype(np.int32), HEIGHTS)
+    looks, before = (bins.of("looks", count) for count in (reports.silent + 1, reports.before))
+    others = bins.of("others", reports.others()[0])
+    ranges, size = bins.of("range_m", reports.range_m), bins.of("size_m", reports.sizes_m)
+    returns, apart = bins.of("returns", np.nan_to_num(reports.returns)), bins.of("apart_m", reports.apart_m)
+    for of in (returns, others, ranges, before):
+        bins.add(looks, of)
+    for codes in ((ranges, returns), (ranges, size, height), (apart, size)):
+        bins.add(*codes)
+    if own_view:
+        kept, visible = _kept_bins(reports, bins), bins.of("visible", reports.visible)
+        surface = bins.of("surface", reports.cells[..., _COLUMNS["surface"]])
+        for codes in ((looks, visible), (looks, kept), (looks, surface), (returns, kept), (visible, returns)):
+            bins.add(*codes)
+        for name in ("free", *_ASKED_ALONE):
+            bins.add(bins.of(name, reports.cells[..., _COLUMNS[name]]))
+    return bins.columns(), bins.size
+
+
+def _kept_bins(reports: ObjectReports, bins: Bins) -> tuple[NDArray[Any], int]:
+    """Return whether the surface still stands (J, A) that was there when each agent reported the object last."""
+    now, before = reports.cells[..., _COLUMNS["surface"]], np.nan_to_num(reports.surface)
+    kept, count = bins.of("kept", now / np.maximum(before, 1e-3))
+    return np.where(before > _LEAST_SURFACE, kept, count), count + 1
 
 
 def place_columns(reports: ObjectReports) -> tuple[Columns, int]:
@@ -224,6 +275,8 @@ class HonestModel:
     invented: Weights  # the same by the reporter's own view
     real: Weights  # log-odds that what is reported is an object
     displaced: Weights  # log-ratio of boxes that were moved over honest ones
+    withheld: Weights  # log-ratio of silence that begins at will over honest silence
+    withheld_forged: Weights  # the same without the agent's own view
     views: Surprises  # how rare numbers of comparisons of views are
 
     @classmethod
@@ -252,14 +305,38 @@ class HonestModel:
         """
         return np.stack([np.where(silent, of(columns) - of.bias, 0.0) for of in (self.alone, self.shared)])
 
+    def withheld_ratio(self, reports: ObjectReports) -> F64:
+        """Return the log-ratio (J, A) that each agent withholds each object over that its silence is honest.
+
+        It is 0 where it does not know the object or reports it. Its own view is forged or not, one as likely as the other.
+        """
+        of_view, forged = (
+            of(withheld_columns(reports, own_view=own_view)[0])
+            for of, own_view in ((self.withheld, True), (self.withheld_forged, False))
+        )
+        return np.where(reports.withheld, np.logaddexp(of_view, forged) - np.log(2.0), 0.0)
+
+    def withholding(self, reports: ObjectReports) -> F64:
+        """Return the log-ratio (A,) that each agent withholds some of the objects that it knows over that it is honest."""
+        share = np.array(WITHHELD_SHARES)[:, None, None]
+        # What is reported is not withheld; what an agent is silent about it withholds or not.
+        silent = np.logaddexp(np.log1p(-share), np.log(share) + self.withheld_ratio(reports))
+        is_known = reports.seen & (reports.before >= KNOWN)
+        each = np.where(reports.withheld, silent, np.where(is_known, np.log1p(-share), 0.0))
+        out: F64 = np.logaddexp.reduce(each.sum(axis=1), axis=0) - np.log(len(share))
+        return out
+
     def there(self, reports: ObjectReports, place: tuple[Columns, int], own: Columns) -> F64:
         """Return the log-odds (J, A) that each agent's report or silence adds to those that an object is one.
 
-        ``place`` and ``own`` are what :func:`place_columns` and :func:`own_box_columns` say of the reports.
+        Silence that is withheld says nothing. ``place`` and ``own`` are what :func:`place_columns` and
+        :func:`own_box_columns` say of the reports.
         """
         (columns, size), of_bins = place, self.real.of_bins
-        of_silence = np.where(reports.silent_now, of_bins[columns].sum(axis=-1), 0.0)
-        return np.where(reports.seen, of_bins[size + own].sum(axis=-1), of_silence)
+        odds = np.log(WITHHELD_PRIOR / (1.0 - WITHHELD_PRIOR)) + self.withheld_ratio(reports)
+        withheld = np.where(reports.withheld, 1.0 / (1.0 + np.exp(-odds)), 0.0)
+        silence = np.log((1.0 - withheld) * np.exp(of_bins[columns].sum(axis=-1)) + withheld)
+        return np.where(reports.seen, of_bins[size + own].sum(axis=-1), np.where(reports.silent_now, silence, 0.0))
 
     def to_json(self) -> str:
         """Return the model as text."""
@@ -303,11 +380,14 @@ class HonestExamples:
     invented: Rows  # counts of columns of what one agent reports, in its own view, then whether it is elsewhere
     real: Rows  # counts of columns of what anybody reports, then whether it is an object
     displaced: Rows  # counts of columns, then whether the box was moved
+    withheld: Rows  # counts of columns of what an agent is silent about that it knows, then whether it was left out
+    withheld_forged: Rows  # the same without its own view
+    silent: Rows  # (N, 1) whether an agent is silent about an object that it knows and another one reports
 
     @classmethod
     def of(
         cls, reports: ObjectReports, is_object: Mask, objects: ObjectReports, elsewhere: ObjectReports,
-        moved: ObjectReports,
+        moved: ObjectReports, left_out: ObjectReports,
     ) -> HonestExamples:  # fmt: skip
         """Return the examples of one time.
 
@@ -317,6 +397,7 @@ class HonestExamples:
             objects: the same agents, about all objects in truth.
             elsewhere: places at which nobody reports anything, as if each were reported by one agent (``seen``).
             moved: boxes of detections that were moved, as if they were reported there.
+            left_out: the reports without some that are left out from some time on; nobody is ``able`` about others.
         """
         reporters, deniers = reports.others()
         columns, count = reported_columns(reports)
@@ -327,6 +408,12 @@ class HonestExamples:
         turned = own_box_columns(elsewhere)[0][elsewhere.seen]
         turned_places = _summed(*place_columns(elsewhere), elsewhere.silent_now)
         alone = number == 1
+        silences = []
+        for own_view in (True, False):
+            honest, other = (withheld_columns(each, own_view=own_view) for each in (reports, left_out))
+            pair = ((honest, reports.withheld), (other, left_out.withheld))
+            silences.append(_contrasted(*(counted(some[chosen], size) for (some, size), chosen in pair)))
+        is_known = (reports.able | reports.seen) & (reports.before >= KNOWN) & (reporters > 0)
         return cls(
             _labeled(np.stack(objects.bins, axis=-1)[objects.able], objects.seen[objects.able]),
             _labeled(counted(columns[judged], _counts()["reported"]), reports.seen[judged]),
@@ -337,7 +424,8 @@ class HonestExamples:
             _contrasted(
                 *(counted(some, own[1]) for some in (own[0][reports.seen], own_box_columns(moved)[0][moved.seen]))
             ),
-        )
+            *silences, ~reports.seen[is_known][:, None],
+        )  # fmt: skip
 
 
 def fit_honest(examples: Sequence[HonestExamples], views: Surprises) -> HonestModel:
@@ -353,6 +441,10 @@ def fit_honest(examples: Sequence[HonestExamples], views: Surprises) -> HonestMo
         counts, label = rows[name][:, :-1], rows[name][:, -1]
         # Of what is made up there is as much as one likes: both classes weigh the same.
         fitted[name] = Weights.fit(counts, label, None if name in ("reported", "real") else evenly(label))
+    # Honest silence is rare, silence of what is withheld is certain.
+    rare = -float(np.log(rows["silent"].mean()))
+    for name in ("withheld", "withheld_forged"):
+        fitted[name] = replace(fitted[name], bias=fitted[name].bias + rare)
     return HonestModel(found, views=views, **fitted)
 
 
@@ -375,6 +467,8 @@ def _counts() -> dict[str, int]:
     )  # fmt: skip
     place, own = place_columns(nothing)[1], own_box_columns(nothing)[1]
     reported = reported_columns(nothing)[1] + (MOST_OTHERS + 1) * (MOST_DENIERS + 1)
+    withheld, forged = (withheld_columns(nothing, own_view=own_view)[1] for own_view in (True, False))
     return {
         "reported": reported, "alone": place, "shared": place, "invented": own, "real": place + own, "displaced": own,
+        "withheld": withheld, "withheld_forged": forged,
     }  # fmt: skip

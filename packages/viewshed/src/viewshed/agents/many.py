@@ -52,16 +52,9 @@ GATE_M, STORY_M = 4.0, 2.5
 STD_M, STD_PER_M = 0.5, 0.012
 """Standard deviation of a detection's center along each axis: at the sensor, and what each meter of range adds."""
 
-_NOBODY = np.array([0.0, 0.0, np.nan, np.nan, 0.0])
-"""Of an object that an agent has not reported: how often, silent since, surface and returns at the last report, looks
-at which it withheld it."""
-
-KNOWN_REPORTS, KNOWN_RETURNS, STANDS = 3, 40.0, 0.5
-"""An agent withholds an object that it does not report though it did so often, with more returns at last, and its view
-still holds more than this part of the surface. Its detector misses such an object once, hardly ever twice."""
-
-MOST_LOOKS = 4.0
-"""Looks at which one object is withheld that count, those after the first."""
+_NOBODY = np.array([0.0, 0.0, np.nan, np.nan])
+"""Of an object that an agent has not reported: looks with a report, looks without one since, surface and returns at the
+last report."""
 
 LOOKED_AT = (13, 7)
 """Points along and across a box at which views are looked up."""
@@ -70,7 +63,7 @@ LEAST_TRUST = 0.05
 """Weight of an agent's detections that is left when nobody trusts it."""
 
 LOOK_S = 0.5
-"""The view of each agent is compared with the others' once in this time."""
+"""The view of each agent is compared with the others' once in this time; reports within it are one look."""
 
 BELIEVED = 0.5
 """Probability of existence, whoever lies, from which a track is believed."""
@@ -218,22 +211,21 @@ class CommandCenter:
         nobody = np.repeat(_NOBODY[:, None], len(self.agents), axis=1)
         self._reported = {number: self._reported.get(number, nobody) for number in held}
         past = np.array([self._reported[number] for number in ids.tolist()]).reshape(-1, len(_NOBODY), len(self.agents))
-        said = object_reports(reports, columns, len(self.agents), tracks.boxes[reported], members, past[:, :4])
+        said = object_reports(reports, columns, len(self.agents), tracks.boxes[reported], members, past)
         # An agent that is silent now stays of its kind: it is judged by what it reported before.
         self._elevated[columns] = said.height[columns] > 0
         seconds = 0.5 if self._last_s is None else t_s - self._last_s
         compared = self._compared(dict(zip(columns.tolist(), reports, strict=True)), seconds)
-        surface = said.cells[..., BoxCells._fields.index("surface")]
-        is_known = (past[:, 0] >= KNOWN_REPORTS) & (past[:, 3] > KNOWN_RETURNS) & (surface > STANDS * past[:, 2])
-        looks = np.where(said.seen, 0.0, past[:, 4] + min(seconds / LOOK_S, 1.0) * (is_known & said.silent_now))
-        withheld = np.clip(looks - 1.0, 0.0, MOST_LOOKS).sum(axis=0)
         judged = self._judged(ids, said, reports, columns, members)
-        verdicts = self._trust.add(judged, seconds, self.honest.views(compared, self._elevated), withheld)
+        views, withheld = self.honest.views(compared, self._elevated), self.honest.withholding(said)
+        verdicts = self._trust.add(judged, seconds, views, withheld)
         self._weights, self._last_s = np.maximum(verdicts.trust, LEAST_TRUST), t_s
+        # What is remembered until the next report: looks, and what the view and the detector had at the last report.
+        look, surface = min(seconds / LOOK_S, 1.0), said.cells[..., BoxCells._fields.index("surface")]
         returns = _returns(reports, columns, len(self.agents), members)
-        last = np.where(said.seen, np.stack([surface, returns]), np.moveaxis(past[:, 2:4], 1, 0))
-        silent = np.where(said.seen, 0, past[:, 1] + said.able)
-        now = np.stack([past[:, 0] + said.seen, silent, *last, looks], axis=1)
+        last = np.where(said.seen, np.stack([surface, returns]), np.moveaxis(past[:, 2:], 1, 0))
+        silent = np.where(said.seen, 0.0, past[:, 1] + look * said.able)
+        now = np.stack([past[:, 0] + look * said.seen, silent, *last], axis=1)
         self._reported |= dict(zip(ids.tolist(), now, strict=True))
 
         # 5. What nobody reports now exists as far as it did, and as far as views allow.
@@ -283,7 +275,7 @@ class CommandCenter:
             ids, said.seen, said.able, said.sees, model.reported(reported_columns(said)[0]), model.of_others,
             model.invented(own), model.silent_views(of_place[0], said.silent_now),
             np.array([model.alone.bias, model.shared.bias]), model.displaced(own), model.there(said, of_place, own),
-            model.real.bias, xy_m, std_m,
+            model.real.bias, xy_m, std_m, said.repeats,
         )  # fmt: skip
 
 
@@ -313,8 +305,8 @@ def object_reports(
         agents: how many there are.
         boxes: (J, 7) of the objects, in the world.
         members: (J, R) numbers of the agents' detections of them, -1 for none.
-        past: (J, 4, agents) how often each agent reported them before, how often in a row it did not since, how
-            much surface its view held there at its last report, and how many returns it had then.
+        past: (J, 4, agents) at how many looks each agent reported them before, at how many in a row it did not
+            since, how much surface its view held there at its last report, and how many returns it had then.
         own: (J, R, 7) boxes that the agents report of them, NaN for none; None are those of ``members``.
     """
     shape = (len(boxes), agents)
@@ -346,7 +338,7 @@ def object_reports(
         apart_m[:, column] = away.min(axis=1, initial=NO_DETECTION_M)
     return ObjectReports(
         seen, able, visible, range_m, height, boxes[:, 3:5].max(axis=1, initial=0.0), cells, own_cells, apart_m,
-        past[:, 0].astype(np.int64), past[:, 1].astype(np.int64), past[:, 2], past[:, 3],
+        *np.ceil(np.moveaxis(past[:, :2], 1, 0) - 1e-6).astype(np.int64), past[:, 2], past[:, 3],
     )  # fmt: skip
 
 

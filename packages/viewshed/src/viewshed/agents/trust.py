@@ -12,8 +12,8 @@ agrees with theirs. Each agent is judged given the other honest ones: a pseudo-l
 agents report together is judged once by what the views of those show who are silent (*made up*): where three claim
 free ground, the one that reports a car lies; where three report a car, the one that claims free ground does. A liar's
 own view may be forged to agree with its lies, so it vouches for them within a bound only. About an object that it lies
-about, a liar says one thing as likely as the other; about how many it lies is unknown: all of
-:attr:`TrustRules.lies` are as likely.
+about, a liar says first one thing as likely as the other, and then mostly the same again (:attr:`TrustRules.keeps`);
+about how many it lies is unknown: all of :attr:`TrustRules.lies` are as likely.
 
 **Views.** A comparison of two views (:mod:`viewshed.agents.view_evidence`) that honest views hardly ever fail speaks
 for all hypotheses in which one of the two lies; one of a view with its past or with all others for those in which its
@@ -30,8 +30,8 @@ what opened or closed at once is remembered. What is older fades.
 
 **Evidence.** For each agent, the mean likelihood of the hypotheses in which it lies over the largest of those in which
 it does not (Wasserman, Ramdas, Balakrishnan 2020). Accusations are one rank of that of the reports, of what
-each view says by itself, and of what an agent withholds though its own view still holds it, among benign scenes of all
-terrain (:class:`TrustLimits`).
+each view says by itself, and of what an agent withholds that it had reported, among benign scenes of all terrain
+(:class:`TrustLimits`).
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ MOST_LIARS = 2
 QUESTIONS = ("reports", "opened", "misplaced", "through", "withheld")
 """What may speak against an agent, each on a scale of its own, for the noise of one drowns another: evidence of its
 reports; by how much more its view opened at once than it closed; how its surfaces lie beside those of others; what it
-sees through; at how many looks it withholds objects that it reported and that its own view still holds."""
+sees through; evidence that it withholds objects that it had reported."""
 
 TOGETHER = 1.5
 """Exponent of the norm that puts answers together."""
@@ -83,6 +83,7 @@ class TrustRules:
     # outlier share: of honest positions, those that are as in lies (boxes of objects that are seen in part)
     astray: float = 0.4
     lied_and_there: float = 0.1  # chance that there is an object where liars alone report one
+    keeps: float = 0.9  # chance that who lies about an object says of it what it said at its last look
     begins: float = 0.3  # chance that a lie about an object begins with a look at it: it was reported as it is before
     objects: int = 4  # most objects that count against a hypothesis, those that say most
     most_of_object: float = 20.0  # bound in nats of what one object says against a hypothesis
@@ -92,7 +93,7 @@ class TrustRules:
     temper: float = 5.0  # log-likelihoods are divided by this before they become probabilities
 
     def __post_init__(self) -> None:
-        for name in ("false_report", "lies", "prior", "least", "agreeing", "astray", "lied_and_there", "begins"):
+        for name in ("false_report", "lies", "prior", "least", "agreeing", "astray", "lied_and_there", "keeps", "begins"):
             values = np.atleast_1d(getattr(self, name))
             if not (len(values) and ((values > 0.0) & (values < 1.0)).all()):
                 raise ValueError(f"{name} must be a probability above 0 and below 1, got {getattr(self, name)}")
@@ -125,6 +126,8 @@ class Reports:
     there_bias: float  # ... and those without any
     xy_m: F64  # (J, A, 2) where it is reported, in the world; NaN where it is not
     std_m: F64  # (J, A) standard deviation of an honest report's position along each axis
+    # (J, A) 1 where the agent says of the object what it said at its last look, -1 where it does not, 0 at the first
+    repeats: NDArray[np.int8]
 
     def __post_init__(self) -> None:
         shape = self.seen.shape
@@ -132,7 +135,7 @@ class Reports:
             raise ValueError(
                 f"reports of {len(self.ids)} objects must have seen (J, A) and xy_m (J, A, 2), got {shape}"
             )
-        for name in ("able", "sees", "reported", "invented", "silent_views", "displaced", "there", "std_m"):
+        for name in ("able", "sees", "reported", "invented", "silent_views", "displaced", "there", "std_m", "repeats"):
             values = getattr(self, name)
             if values.shape != ((2, *shape) if name == "silent_views" else shape) or not np.isfinite(values).all():
                 raise ValueError(f"{name} must be {shape} finite numbers, got {values.shape}")
@@ -230,7 +233,7 @@ class Trust:
             reports: of all agents.
             seconds: since the reports before.
             views: surprises of comparisons of views (A, A, 2) and (A, 3), NaN where nothing was compared.
-            withheld: looks (A,) at which each agent withholds what its own view holds; None are none.
+            withheld: evidence (A,) in nats that each agent withholds objects; None is 0.
 
         Raises:
             ValueError: there are other agents, or no time has passed.
@@ -245,12 +248,11 @@ class Trust:
         weight = min(seconds / self.rules.look_s, 1.0)
         faded = {number: fade * known for number, known in self._of_objects.items()}
         self._of_objects = {number: known for number, known in faded.items() if np.ptp(known) > 1e-3}
-        begins = weight * self.rules.begins
-        for number, logs in zip(reports.ids.tolist(), weight * self._likelihoods(reports), strict=True):
+        begins, nothing = weight * self.rules.begins, np.zeros(len(self._lies))
+        new, kept = weight * self._likelihoods(reports), weight * self._kept(reports)
+        for number, logs, on in zip(reports.ids.tolist(), new, kept, strict=True):
             # Against that nobody lies. A lie goes on, or begins now (Shiryaev, 1963): honesty before excuses nothing.
-            known = np.logaddexp(
-                self._of_objects.get(number, np.zeros(len(self._lies))) + np.log1p(-begins), np.log(begins)
-            )
+            known = np.logaddexp(self._of_objects.get(number, nothing) + np.log1p(-begins) + on, np.log(begins))
             known[0] = 0.0
             self._of_objects[number] = known + logs - logs[0]
         if views is not None:
@@ -287,6 +289,12 @@ class Trust:
         logs = np.where(honest, np.where(others > 0, with_others, alone), lied)
         summed: F64 = np.where((reports.able | reports.seen)[:, None], logs, 0.0).sum(axis=2)
         return summed - self._made_up(reports, reporters)
+
+    def _kept(self, reports: Reports) -> F64:
+        """Return the log-ratio (J, H) of what liars say of each object if their lie goes on over if it begins."""
+        says = np.array([0.0, np.log(2.0 * self.rules.keeps), np.log(2.0 - 2.0 * self.rules.keeps)])[reports.repeats]
+        kept: F64 = np.where(reports.able | reports.seen, says, 0.0) @ self._lies.T.astype(np.float64)
+        return kept
 
     def _made_up(self, reports: Reports, reporters: Mask) -> F64:
         """Return the log-ratio (J, H) that what honest agents report is a place elsewhere, 0 where none reports it."""
@@ -345,6 +353,7 @@ class Trust:
         against, of_views = self._of_views()
         of_shares = most.sum(axis=1) + np.minimum(gain, 0.0).sum(axis=1)
         # ... and over the shares of the objects about which they may.
+        of_views = of_views + self._lies @ np.maximum(withheld, 0.0)
         logs = np.logaddexp.reduce(of_shares, axis=0) - np.log(len(of_shares)) + of_views
         opened, closed = self._own[:, _AT_ONCE].T
         others = max(self.agents - 1, 1)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from viewshed.agents.honest import HonestExamples, HonestModel, ObjectReports
+from viewshed.agents.honest import KNOWN, HonestExamples, HonestModel, ObjectReports
 from viewshed.agents.many import GATE_M, CommandCenter, object_reports
 from viewshed.agents.registration import PoseStd
 from viewshed.agents.report import FAR_M, AgentReport
@@ -38,6 +38,9 @@ LEARNED_EACH = 2
 
 ELSEWHERE_EACH = 2
 """... and of every k-th box, once put elsewhere, once moved."""
+
+LEFT_OUT = 0.15
+"""Chance at each time that a report of a known object is left out from then on."""
 
 POSE_STD = PoseStd(0.2, float(np.radians(0.5)))
 """Errors of poses in the cases of noise, drawn once for each agent of a scene."""
@@ -165,11 +168,12 @@ def honest_examples(scene: Scene, rng: np.random.Generator) -> tuple[list[Honest
     """Return what honest agents of a scene report, of some times and of boxes put elsewhere, and how views compare."""
     center = CommandCenter(scene.agents, honest=HonestModel.blank())
     out, compared = [], []
-    numbers = np.arange(len(scene.agents))
+    numbers, left_out = np.arange(len(scene.agents)), _LeftOut(rng)
     for time, t_s in enumerate(scene.times_s):
         reports = scene.reports(time)
         picture = center.add(float(t_s), reports)
         compared.append(picture.compared)
+        without = left_out.of(picture.tracks.ids[picture.reported], picture.said)
         if time % LEARNED_EACH:
             continue
         truth = seen_objects(scene, time)
@@ -184,8 +188,33 @@ def honest_examples(scene: Scene, rng: np.random.Generator) -> tuple[list[Honest
         objects = object_reports(reports, numbers, len(numbers), truth, members, past)
         away = np.linalg.norm(picture.tracks.boxes[picture.reported, None, :2] - truth[None, :, :2], axis=2)
         is_object = away.min(axis=1, initial=np.inf) < FOUND_M
-        out.append(HonestExamples.of(picture.said, is_object, objects, *_put_elsewhere(reports, rng)))
+        out.append(HonestExamples.of(picture.said, is_object, objects, *_put_elsewhere(reports, rng), without))
     return out, compared
+
+
+@dataclass(slots=True)
+class _LeftOut:
+    """Leaves out some reports of known objects from some time on."""
+
+    rng: np.random.Generator
+    _past: dict[int, F64] = field(default_factory=dict)  # (5, A) of each object; see ``of``
+
+    def of(self, ids: NDArray[np.int64], said: ObjectReports) -> ObjectReports:
+        """Return the next reports without what is left out; nobody is able to report anything else."""
+        nothing = np.zeros((5, said.seen.shape[1]))
+        past = np.array([self._past.get(number, nothing) for number in ids.tolist()]).reshape(-1, *nothing.shape)
+        begins = said.seen & (said.before >= KNOWN) & (self.rng.random(said.seen.shape) < LEFT_OUT)
+        # Left out or not, looks before, silent looks since, surface and returns at the last report: kept once it begins.
+        now = np.stack([begins, said.before, np.zeros_like(said.returns), said.surface, said.returns], axis=1)
+        now = np.where(past[:, :1] > 0, past, now)
+        chosen = now[:, 0] > 0
+        left_out = replace(
+            said, seen=said.seen & ~chosen, able=said.able & chosen, before=now[:, 1].astype(np.int64),
+            silent=now[:, 2].astype(np.int64), surface=now[:, 3], returns=now[:, 4],
+        )  # fmt: skip
+        now[:, 2] += left_out.able
+        self._past |= dict(zip(ids.tolist(), now, strict=True))
+        return left_out
 
 
 def _put_elsewhere(reports: Sequence[AgentReport], rng: np.random.Generator) -> tuple[ObjectReports, ObjectReports]:
