@@ -74,9 +74,8 @@ def test_a_lie_that_lasts_explains_silence_that_lasts() -> None:
     said, trust, follows = np.array([[1, 1, 1, 0]], bool), Trust(4), Trust(4)
     for look in range(8):
         reports = reports_of(said, np.array([[0.95, 0.95, 0.95, 0.95 if look == 0 else 0.1]]))
-        first = replace(reports, repeats=np.int8([[0, 0, 0, 0]]))
-        again = replace(reports, repeats=np.int8([[1, 1, 1, 1]]) if look else first.repeats)
-        forgets, keeps = trust.add(first, 0.5).evidence[3], follows.add(again, 0.5).evidence[3]
+        again = replace(reports, repeats=np.full((1, 4), look > 0, np.int8))
+        forgets, keeps = trust.add(reports, 0.5).evidence[3], follows.add(again, 0.5).evidence[3]
         assert keeps >= forgets
     assert keeps > forgets + 0.1
 

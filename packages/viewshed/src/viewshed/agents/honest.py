@@ -10,14 +10,14 @@ on ground of all kinds:
 - *alone*, *shared*: log-ratio that a report is put at a place where nobody reports anything, over one that an honest
   agent makes alone, or several together, by what the views of those show there who could report it and do not;
 - *invented*: the same by what the reporter's own view shows, which may be forged;
-- *withheld*: log-ratio that an agent is silent about an object because it withholds it from now on, over one that it
-  reported and is silent about honestly, by all of that; *withheld_unseen*: the same without its own view, which may be
-  forged;
+- *withheld*: log-ratio that an agent is silent about an object that it had reported because it withholds it, over honest
+  silence, by how long, by what its own view shows and by what others report; *withheld_forged*: the same without its
+  own view, which may be forged;
 - *displaced*: log-ratio that the cells of a box are those of one that was moved, over those of an honest one;
 - *real*: log-odds that what is reported is an object, by the same cells;
 - ``views``: how rare numbers of comparisons of views are.
 
-No lie is needed to fit them: what is put elsewhere, moved or withheld is an honest box put elsewhere, moved or left out.
+No lie is needed to fit them: an honest box is put elsewhere, moved, or left out.
 """
 
 from __future__ import annotations
@@ -131,7 +131,7 @@ class ObjectReports:
 
     @property
     def repeats(self) -> NDArray[np.int8]:
-        """(J, A) 1 where an agent reports the object, or not, as at its last look, -1 where it does not, 0 at the first."""
+        """(J, A) 1 where an agent reports the object or not as at its last look, -1 where otherwise, 0 at the first."""
         same = np.where(self.seen == (self.silent == 0), 1, -1)
         return np.where(self.before + self.silent > 0, same, 0).astype(np.int8)
 
@@ -220,7 +220,7 @@ def own_box_columns(reports: ObjectReports) -> tuple[Columns, int]:
 
 
 def withheld_columns(reports: ObjectReports, *, own_view: bool) -> tuple[Columns, int]:
-    """Return the columns (J, A, F) of what an agent is silent about, with its own view or without it, and their number."""
+    """Return the columns (J, A, F) of an agent's silence, with or without its own view, and how many there are."""
     shape = reports.seen.shape
     bins = Bins(shape, _BOUNDS)
     height = (np.broadcast_to(reports.height, shape).astype(np.int32), HEIGHTS)
@@ -308,7 +308,7 @@ class HonestModel:
     def withheld_ratio(self, reports: ObjectReports) -> F64:
         """Return the log-ratio (J, A) that each agent withholds each object over that its silence is honest.
 
-        It is 0 where it does not know the object or reports it. Its own view is forged or not, one as likely as the other.
+        It is 0 where it does not know the object or reports it. Its own view is as likely to be forged as not.
         """
         of_view, forged = (
             of(withheld_columns(reports, own_view=own_view)[0])
@@ -317,7 +317,7 @@ class HonestModel:
         return np.where(reports.withheld, np.logaddexp(of_view, forged) - np.log(2.0), 0.0)
 
     def withholding(self, reports: ObjectReports) -> F64:
-        """Return the log-ratio (A,) that each agent withholds some of the objects that it knows over that it is honest."""
+        """Return the log-ratio (A,) that each agent withholds some objects that it knows over that it is honest."""
         share = np.array(WITHHELD_SHARES)[:, None, None]
         # What is reported is not withheld; what an agent is silent about it withholds or not.
         silent = np.logaddexp(np.log1p(-share), np.log(share) + self.withheld_ratio(reports))
@@ -424,8 +424,10 @@ class HonestExamples:
             _contrasted(
                 *(counted(some, own[1]) for some in (own[0][reports.seen], own_box_columns(moved)[0][moved.seen]))
             ),
-            *silences, ~reports.seen[is_known][:, None],
-        )  # fmt: skip
+            silences[0],
+            silences[1],
+            (~reports.seen[is_known][:, None]).astype(np.uint8),
+        )
 
 
 def fit_honest(examples: Sequence[HonestExamples], views: Surprises) -> HonestModel:

@@ -336,9 +336,10 @@ def object_reports(
         away = np.linalg.norm(boxes[:, None, :2] - found[None, :, :2], axis=2)
         away[np.flatnonzero(members[:, place] >= 0), members[members[:, place] >= 0, place]] = NO_DETECTION_M
         apart_m[:, column] = away.min(axis=1, initial=NO_DETECTION_M)
+    before, silent = np.ceil(np.moveaxis(past[:, :2], 1, 0) - 1e-6).astype(np.int64)
     return ObjectReports(
         seen, able, visible, range_m, height, boxes[:, 3:5].max(axis=1, initial=0.0), cells, own_cells, apart_m,
-        *np.ceil(np.moveaxis(past[:, :2], 1, 0) - 1e-6).astype(np.int64), past[:, 2], past[:, 3],
+        before, silent, past[:, 2], past[:, 3],
     )  # fmt: skip
 
 

@@ -93,7 +93,8 @@ class TrustRules:
     temper: float = 5.0  # log-likelihoods are divided by this before they become probabilities
 
     def __post_init__(self) -> None:
-        for name in ("false_report", "lies", "prior", "least", "agreeing", "astray", "lied_and_there", "keeps", "begins"):
+        chances = ("false_report", "lies", "prior", "least", "agreeing", "astray", "lied_and_there", "keeps", "begins")
+        for name in chances:
             values = np.atleast_1d(getattr(self, name))
             if not (len(values) and ((values > 0.0) & (values < 1.0)).all()):
                 raise ValueError(f"{name} must be a probability above 0 and below 1, got {getattr(self, name)}")

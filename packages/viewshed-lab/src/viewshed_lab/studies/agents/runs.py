@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from viewshed.agents.honest import KNOWN, HonestExamples, HonestModel, ObjectReports
 from viewshed.agents.many import GATE_M, CommandCenter, object_reports
