@@ -10,9 +10,9 @@ on ground of all kinds:
 - *alone*, *shared*: log-ratio that a report is put at a place where nobody reports anything, over one that an honest
   agent makes alone, or several together, by what the views of those show there who could report it and do not;
 - *invented*: the same by what the reporter's own view shows, which may be forged;
-- *withheld*: log-ratio that an agent is silent about an object that it had reported because it withholds it, over honest
-  silence, by how long, by what its own view shows and by what others report; *withheld_forged*: the same without its
-  own view, which may be forged;
+- *withheld*: log-ratio that an agent is silent about an object that it had reported because it withholds it, over
+  honest silence, by how long, by what its own view shows and by what others report; *withheld_forged*: the same without
+  its own view, which may be forged;
 - *displaced*: log-ratio that the cells of a box are those of one that was moved, over those of an honest one;
 - *real*: log-odds that what is reported is an object, by the same cells;
 - ``views``: how rare numbers of comparisons of views are.
