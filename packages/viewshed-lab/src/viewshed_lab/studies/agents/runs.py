@@ -205,7 +205,7 @@ class _LeftOut:
         nothing = np.zeros((5, said.seen.shape[1]))
         past = np.array([self._past.get(number, nothing) for number in ids.tolist()]).reshape(-1, *nothing.shape)
         begins = said.seen & (said.before >= KNOWN) & (self.rng.random(said.seen.shape) < LEFT_OUT)
-        # Left out or not, looks before, silent looks since, surface and returns at the last report: kept once it begins.
+        # Left out or not, looks before, silent looks since, surface and returns at the last report: kept from then on.
         now = np.stack([begins, said.before, np.zeros_like(said.returns), said.surface, said.returns], axis=1)
         now = np.where(past[:, :1] > 0, past, now)
         chosen = now[:, 0] > 0
