@@ -203,7 +203,7 @@ def defenses() -> str:
 
 
 def worlds() -> str:
-    """Return the kinds of simulated worlds, each with the first line of its module."""
+    """Return the kinds of simulated worlds, each in the words of its function, or of a module that has one alone."""
     from viewshed_lab.sim.worlds import WORLDS
 
     return table(("kind", "what is there"), [[f"`{name}`", _first_line(make)] for name, make in WORLDS.items()])
@@ -212,7 +212,8 @@ def worlds() -> str:
 def _first_line(make: Any) -> str:
     from importlib import import_module
 
-    return str(import_module(make.__module__).__doc__).splitlines()[0].removesuffix(".")
+    _, _, more = str(make.__doc__).partition("\n\n")
+    return (more or str(import_module(make.__module__).__doc__)).strip().splitlines()[0].removesuffix(".")
 
 
 def materials() -> str:

@@ -28,7 +28,10 @@ from viewshed_lab.sim.worlds.traffic import Pace, driven
 
 
 def country_road(rng: np.random.Generator, plan: AgentPlan) -> World:
-    """Return a country road, now and then of gravel, with the agents of ``plan`` on it and beside it."""
+    """Return a country road, now and then of gravel, with the agents of ``plan`` on it and beside it.
+
+    A country road that bends and climbs through fields: ditches, trees, hedges, fences, walls at any angle.
+    """
     slope = rng.uniform(-0.18, 0.18)
     road = Roadway(
         random_bend(rng, 0.38, (130.0, 320.0)), climb(rng, 0.12), 1, rng.uniform(2.6, 3.4), rng.uniform(0.4, 1.3),
@@ -65,7 +68,10 @@ _PACE = Pace(110.0, 50.0, (2.0, 12.0), (20.0, 150.0, 600.0))
 
 
 def open_field(rng: np.random.Generator, plan: AgentPlan) -> World:
-    """Return a track over open land, level or undulating, or an empty lot of asphalt, with the agents of ``plan``."""
+    """Return a track over open land, level or undulating, or an empty lot of asphalt, with the agents of ``plan``.
+
+    An open field, a large lot or a plain with almost nothing in range: few returns, and those from the ground.
+    """
     lot = rng.random() < 0.35
     land = fields(rng, 0.15 if lot else 1.8, 0.015 if lot else 0.05)
     ground = "asphalt" if lot and rng.random() < 0.7 else "concrete" if lot else "grass"
@@ -82,7 +88,10 @@ def open_field(rng: np.random.Generator, plan: AgentPlan) -> World:
 
 
 def embankment(rng: np.random.Generator, plan: AgentPlan) -> World:
-    """Return a road on an embankment, at times with a hillside or level ground at one of its sides."""
+    """Return a road on an embankment, at times with a hillside or level ground at one of its sides.
+
+    A road on an embankment: beside it the ground falls away by 2 to 8 m, behind a guard rail or behind nothing.
+    """
     high = rng.uniform(2.0, 8.0)
     sides = (_fall(rng, high), _fall(rng, rng.uniform(0.4, 1.0) * high) if rng.random() < 0.75 else
              Bank((0.0, 1.0, 1.0 + rng.uniform(2.0, 8.0)), (0.0, -0.3, rng.uniform(-0.3, 3.0))))  # fmt: skip
@@ -116,7 +125,10 @@ def _fall(rng: np.random.Generator, high_m: float) -> Bank:
 
 
 def cutting(rng: np.random.Generator, plan: AgentPlan) -> World:
-    """Return a road in a cutting of 2 to 8 m; each of its sides is a slope or a wall, as high as the land beside it."""
+    """Return a road in a cutting of 2 to 8 m; each of its sides is a slope or a wall, as high as the land beside it.
+
+    A road in a cutting: the ground rises steeply at both sides, or behind retaining walls.
+    """
     high = rng.uniform(2.0, 8.0)
     walled = (rng.random() < 0.4, rng.random() < 0.4)
     rises = (high, high * rng.uniform(0.3, 1.1))

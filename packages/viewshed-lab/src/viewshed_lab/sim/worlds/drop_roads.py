@@ -147,7 +147,10 @@ _MACHINES: tuple[Callable[[np.random.Generator], Thing], ...] = (
 
 
 def pit(rng: np.random.Generator, plan: AgentPlan) -> World:
-    """Return a street beside one to three construction pits, with the agents of ``plan``."""
+    """Return a street beside one to three construction pits, with the agents of ``plan``.
+
+    Construction pits beside a street: upright faces of 2 to 6 m next to the drive lane, machines and ramps in them.
+    """
     road = Roadway(
         Bend(0.0, 300.0, 0.0), climb(rng, 0.03), 2 if rng.random() < 0.2 else 1, rng.uniform(2.8, 3.5),
         rng.uniform(0.4, 1.6), LEVEL, rough=fields(rng, 0.3, 0.01), soil=pick(rng, ("grass", "concrete")),
@@ -233,7 +236,10 @@ _QUAY_PACE = Pace(110.0, 50.0, (3.0, 11.0), (6.0, 25.0, 110.0))
 
 
 def quay(rng: np.random.Generator, plan: AgentPlan) -> World:
-    """Return a road along the edge of a quay or of a lower yard, with the agents of ``plan``."""
+    """Return a road along the edge of a quay or of a lower yard, with the agents of ``plan``.
+
+    A road along an edge: quays, loading yards and terraces where the ground drops by 2 to 6 m beside the lane.
+    """
     road = Roadway(
         Bend(0.0, 300.0, 0.0), climb(rng, 0.012), 1, rng.uniform(2.8, 3.6), rng.uniform(0.3, 1.5), LEVEL,
         rough=fields(rng, 0.2, 0.005), soil=pick(rng, ("concrete", "asphalt", "grass")),

@@ -25,7 +25,10 @@ Houses = Callable[[np.random.Generator, Side, Span], list[Thing]]
 
 
 def street(rng: np.random.Generator, plan: AgentPlan) -> World:
-    """Return a street canyon with the agents of ``plan`` in its lanes and on its sidewalks."""
+    """Return a street canyon with the agents of ``plan`` in its lanes and on its sidewalks.
+
+    A street canyon in town: lanes both ways along x, parked rows, sidewalks, closed rows of buildings.
+    """
     return street_of(rng, plan, "street", buildings)
 
 
@@ -91,7 +94,10 @@ def _works(rng: np.random.Generator, half_m: float) -> list[Thing]:
 
 
 def glass_fronts(rng: np.random.Generator, plan: AgentPlan) -> World:
-    """Return a street between glass fronts with the agents of ``plan``."""
+    """Return a street between glass fronts with the agents of ``plan``.
+
+    A street of glass: shops, showrooms and offices whose fronts beams pass, with what stands behind them.
+    """
     return street_of(rng, plan, "glass_fronts", _fronts, 0.02)
 
 

@@ -34,7 +34,10 @@ _WISHES = (
 
 
 def hall(rng: np.random.Generator, plan: AgentPlan) -> World:
-    """Return a large hall, as of a station or a fair."""
+    """Return a large hall, as of a station or a fair.
+
+    A hall: pillars, rows of seats, stalls, a glass front, a gallery with stairs, and many people.
+    """
     floor_plan, top = FloorPlan(rng), rng.uniform(5.0, 9.5)
     half_x, half_y = rng.uniform(19.0, 24.0), rng.uniform(17.0, 21.0)
     inside = (-half_x, -half_y, half_x, half_y)
@@ -209,7 +212,10 @@ _BELOW: tuple[Maker, ...] = (
 
 
 def atrium(rng: np.random.Generator, plan: AgentPlan) -> World:
-    """Return an atrium of two to four storeys with the robots of ``plan`` on its ground floor."""
+    """Return an atrium of two to four storeys with the robots of ``plan`` on its ground floor.
+
+    An atrium: galleries at several levels around it, stairs, glass, and often a well in its floor with a level below.
+    """
     floor_plan, rise, storeys = FloorPlan(rng), rng.uniform(3.0, 4.2), int(rng.integers(2, 5))
     half_x, half_y = rng.uniform(17.0, 24.0), rng.uniform(17.0, 21.0)
     inside, top = (-half_x, -half_y, half_x, half_y), storeys * rise + rng.uniform(-0.4, 0.6)
