@@ -94,7 +94,7 @@ def test_a_model_learns_who_reports_and_what_lies_elsewhere() -> None:
     assert (ratio[:, 0] > ratio[:, 1] + 0.5).all()
     assert (ratio[:, 3] == 0.0).all()
     assert evidence[0] > max(evidence[1], 0.0) + 0.5
-    assert evidence[3] < 0.0
+    assert evidence[3] < -0.1
     # Its silence speaks less against the object than that of an agent that never reported it.
     place, own = place_columns(withheld), own_box_columns(withheld)[0]
     known, unknown = (model.there(each, place, own)[:, 0] for each in (withheld, replace(withheld, before=silent * 0)))

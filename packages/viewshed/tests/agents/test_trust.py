@@ -80,6 +80,13 @@ def test_a_lie_that_lasts_explains_silence_that_lasts() -> None:
     assert keeps > forgets + 0.1
 
 
+def test_who_withholds_objects_is_trusted_less() -> None:
+    reports = reports_of(np.ones((2, 4), bool), np.full((2, 4), 0.95))
+    honest, liar = (Trust(4).add(reports, 0.5, withheld=np.array([0.0, 0.0, 0.0, nats])) for nats in (0.0, 12.0))
+    assert liar.trust[3] < honest.trust[3] - 0.2
+    assert (liar.trust[:3] > 0.8).all()
+
+
 @pytest.mark.parametrize("said", [[1, 1, 1, 0], [0, 0, 0, 1]])
 def test_a_liar_that_goes_on_stays_as_suspicious(said: list[int]) -> None:
     """What one object says is bounded for all hypotheses together: the wrong ones do not catch up."""
