@@ -6,7 +6,7 @@ JOBS ?= 2
 BIN := $(VENV)/bin
 # pip says what it does: the first install takes a minute or more.
 PIP := $(BIN)/python -m pip install --disable-pip-version-check
-BENCHMARKS := PYTHONPATH=packages/viewshed-lab $(BIN)/python -m benchmarks
+BENCHMARKS := PYTHONPATH=packages/viewshed:packages/viewshed-lab $(BIN)/python -m benchmarks
 # One thread for each process. Bytecode of the tests is kept: without it each process rewrites all their files. Workers
 # take neighbors in a file, so that most fixtures are made once.
 PYTEST := OMP_NUM_THREADS=1 MPLBACKEND=Agg PYTHONDONTWRITEBYTECODE= $(BIN)/pytest -n $(JOBS) --dist worksteal
