@@ -293,6 +293,7 @@ class Trust:
 
     def _kept(self, reports: Reports) -> F64:
         """Return the log-ratio (J, H) of what liars say of each object if their lie goes on over if it begins."""
+        # By ``repeats``: 0 at the first look, 1 for the same again, and -1, the last one, for the other.
         says = np.array([0.0, np.log(2.0 * self.rules.keeps), np.log(2.0 - 2.0 * self.rules.keeps)])[reports.repeats]
         kept: F64 = np.where(reports.able | reports.seen, says, 0.0) @ self._lies.T.astype(np.float64)
         return kept
@@ -354,6 +355,7 @@ class Trust:
         against, of_views = self._of_views()
         of_shares = most.sum(axis=1) + np.minimum(gain, 0.0).sum(axis=1)
         # ... and over the shares of the objects about which they may.
+        # Who withholds objects is trusted less in all that it says.
         of_views = of_views + self._lies @ np.maximum(withheld, 0.0)
         logs = np.logaddexp.reduce(of_shares, axis=0) - np.log(len(of_shares)) + of_views
         opened, closed = self._own[:, _AT_ONCE].T
