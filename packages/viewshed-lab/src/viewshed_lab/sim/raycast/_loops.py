@@ -375,10 +375,10 @@ def cast_terrain(beams: Any, ground: Any, view: Any, nearest: Any, first_index: 
     columns = view.columns
     # The ground stands still, so it drifts by the sensor's own way within half the period.
     drift_m = _length(view.velocity) * view.half_period_s
-    corners, local = np.empty((2, 4)), np.empty(15, np.float32)
+    nodes, corners, local = _nodes(ground, view.rotation), np.empty((2, 4)), np.empty(15, np.float32)
     for i in range(ground.x.shape[0] - 1):
         for j in range(ground.y.shape[0] - 1):
-            start, count, first, last = _quad_window(ground, i, j, view, drift_m, corners)
+            start, count, first, last = _quad_window(nodes, ground, i, j, view, drift_m, corners)
             if first >= last:
                 continue
             bent = _quad_frame(ground, i, j, view, local)
@@ -397,7 +397,17 @@ def cast_terrain(beams: Any, ground: Any, view: Any, nearest: Any, first_index: 
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _quad_window(ground: Any, i: Any, j: Any, view: Any, drift_m: Any, corners: Any) -> Any:
+def _nodes(ground: Any, rotation: Any) -> Any:
+    """Return x, y, z (nx, ny, 3) of the nodes in the sensor's frame, each of which four quads need."""
+    out = np.empty((ground.x.shape[0], ground.y.shape[0], 3))
+    for i in range(ground.x.shape[0]):
+        for j in range(ground.y.shape[0]):
+            out[i, j] = _into_sensor(ground.x[i], ground.y[j], ground.z[i, j], rotation)
+    return out
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _quad_window(nodes: Any, ground: Any, i: Any, j: Any, view: Any, drift_m: Any, corners: Any) -> Any:
     """Return first column, number of columns, first block and last of the beams that may meet quad (i, j).
 
     ``corners`` (2, 4) is scratch memory.
@@ -413,7 +423,7 @@ def _quad_window(ground: Any, i: Any, j: Any, view: Any, drift_m: Any, corners: 
     low_z, high_z = np.inf, -np.inf
     for corner in range(4):
         k, n = i + (corner & 1), j + (corner >> 1)
-        u, v, w = _into_sensor(ground.x[k], ground.y[n], ground.z[k, n], view.rotation)
+        u, v, w = nodes[k, n, 0], nodes[k, n, 1], nodes[k, n, 2]
         corners[0, corner], corners[1, corner] = u, v
         x, y, far2 = x + u / 4, y + v / 4, max(far2, u * u + v * v)
         low_z, high_z = min(low_z, w), max(high_z, w)
