@@ -15,6 +15,7 @@ from viewshed.agents.honest import (
     own_box_columns,
     place_columns,
     reported_columns,
+    withholding,
 )
 from viewshed.agents.many import AgentReport, object_reports
 from viewshed.agents.view_evidence import Surprises
@@ -78,7 +79,7 @@ def test_a_model_learns_who_reports_and_what_lies_elsewhere() -> None:
     assert invented[3] > invented[0]
     assert displaced[3] > 1.0
     assert displaced[0] < 0.0
-    there = model.there(said, place_columns(said), own_box_columns(said)[0])[0]
+    there = model.there(said, place_columns(said), own_box_columns(said)[0], model.withheld_ratio(said))[0]
     assert there[0] > there[1]  # a report speaks for an object, silence against it
     # Who alone reports a place that others see free is as one that puts an object there.
     alone = reports(np.eye(4, dtype=bool)[:1], np.array([[0.45, 0.0, 0.0, 0.0]]), rng)
@@ -90,14 +91,16 @@ def test_a_model_learns_who_reports_and_what_lies_elsewhere() -> None:
     silent = np.zeros((3, 4), bool)
     silent[:, 3] = True
     withheld = reports(silent, np.array([[0.45, 0.02, 0.45, 0.45]] * 3), rng, before=3)
-    ratio, evidence = model.withheld_ratio(withheld), model.withholding(withheld)
+    ratio = model.withheld_ratio(withheld)
+    evidence = withholding(withheld, ratio)
     assert (ratio[:, 0] > ratio[:, 1] + 0.5).all()
     assert (ratio[:, 3] == 0.0).all()
     assert evidence[0] > max(evidence[1], 0.0) + 0.5
     assert evidence[3] < -0.1
     # Its silence speaks less against the object than that of an agent that never reported it.
     place, own = place_columns(withheld), own_box_columns(withheld)[0]
-    known, unknown = (model.there(each, place, own)[:, 0] for each in (withheld, replace(withheld, before=silent * 0)))
+    never = replace(withheld, before=silent * 0)
+    known, unknown = (model.there(each, place, own, model.withheld_ratio(each))[:, 0] for each in (withheld, never))
     assert (unknown < known).all()
     assert (known < 0.0).all()
     assert (np.diff(model.found, axis=-1) >= 0).all()  # and never less where more is claimed

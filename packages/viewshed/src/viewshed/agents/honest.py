@@ -316,24 +316,14 @@ class HonestModel:
         )
         return np.where(reports.withheld, np.logaddexp(of_view, forged) - np.log(2.0), 0.0)
 
-    def withholding(self, reports: ObjectReports) -> F64:
-        """Return the log-ratio (A,) that each agent withholds some objects that it knows over that it is honest."""
-        share = np.array(WITHHELD_SHARES)[:, None, None]
-        # What is reported is not withheld; what an agent is silent about it withholds or not.
-        silent = np.logaddexp(np.log1p(-share), np.log(share) + self.withheld_ratio(reports))
-        is_known = reports.seen & (reports.before >= KNOWN)
-        each = np.where(reports.withheld, silent, np.where(is_known, np.log1p(-share), 0.0))
-        out: F64 = np.logaddexp.reduce(each.sum(axis=1), axis=0) - np.log(len(share))
-        return out
-
-    def there(self, reports: ObjectReports, place: tuple[Columns, int], own: Columns) -> F64:
+    def there(self, reports: ObjectReports, place: tuple[Columns, int], own: Columns, ratio: F64) -> F64:
         """Return the log-odds (J, A) that each agent's report or silence adds to those that an object is one.
 
-        Silence that is withheld says nothing. ``place`` and ``own`` are what :func:`place_columns` and
-        :func:`own_box_columns` say of the reports.
+        Silence that is withheld says nothing. ``place``, ``own`` and ``ratio`` are what :func:`place_columns`,
+        :func:`own_box_columns` and :meth:`withheld_ratio` say of the reports.
         """
         (columns, size), of_bins = place, self.real.of_bins
-        odds = np.log(WITHHELD_PRIOR / (1.0 - WITHHELD_PRIOR)) + self.withheld_ratio(reports)
+        odds = np.log(WITHHELD_PRIOR / (1.0 - WITHHELD_PRIOR)) + ratio
         withheld = np.where(reports.withheld, 1.0 / (1.0 + np.exp(-odds)), 0.0)
         silence = np.log((1.0 - withheld) * np.exp(of_bins[columns].sum(axis=-1)) + withheld)
         return np.where(reports.seen, of_bins[size + own].sum(axis=-1), np.where(reports.silent_now, silence, 0.0))
@@ -448,6 +438,20 @@ def fit_honest(examples: Sequence[HonestExamples], views: Surprises) -> HonestMo
     for name in ("withheld", "withheld_forged"):
         fitted[name] = replace(fitted[name], bias=fitted[name].bias + rare)
     return HonestModel(found, views=views, **fitted)
+
+
+def withholding(reports: ObjectReports, ratio: F64) -> F64:
+    """Return the log-ratio (A,) that each agent withholds some objects that it knows over that it is honest.
+
+    ``ratio`` is what :meth:`HonestModel.withheld_ratio` says of the reports.
+    """
+    share = np.array(WITHHELD_SHARES)[:, None, None]
+    # What is reported is not withheld; what an agent is silent about it withholds or not.
+    silent = np.logaddexp(np.log1p(-share), np.log(share) + ratio)
+    is_known = reports.seen & (reports.before >= KNOWN)
+    each = np.where(reports.withheld, silent, np.where(is_known, np.log1p(-share), 0.0))
+    out: F64 = np.logaddexp.reduce(each.sum(axis=1), axis=0) - np.log(len(share))
+    return out
 
 
 def _contrasted(honest: NDArray[Any], other: NDArray[Any]) -> Rows:

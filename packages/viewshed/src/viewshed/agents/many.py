@@ -28,6 +28,7 @@ from viewshed.agents.honest import (
     own_box_columns,
     place_columns,
     reported_columns,
+    withholding,
 )
 from viewshed.agents.joint_fov import JointFov, confirmed, joint_fov
 from viewshed.agents.registration import registered_poses
@@ -216,9 +217,9 @@ class CommandCenter:
         self._elevated[columns] = said.height[columns] > 0
         seconds = 0.5 if self._last_s is None else t_s - self._last_s
         compared = self._compared(dict(zip(columns.tolist(), reports, strict=True)), seconds)
-        judged = self._judged(ids, said, reports, columns, members)
-        views, withheld = self.honest.views(compared, self._elevated), self.honest.withholding(said)
-        verdicts = self._trust.add(judged, seconds, views, withheld)
+        ratio, views = self.honest.withheld_ratio(said), self.honest.views(compared, self._elevated)
+        judged = self._judged(ids, said, reports, columns, members, ratio)
+        verdicts = self._trust.add(judged, seconds, views, withholding(said, ratio))
         self._weights, self._last_s = np.maximum(verdicts.trust, LEAST_TRUST), t_s
         # What is remembered until the next report: looks, and what the view and the detector had at the last report.
         look, surface = min(seconds / LOOK_S, 1.0), said.cells[..., BoxCells._fields.index("surface")]
@@ -261,9 +262,12 @@ class CommandCenter:
 
     def _judged(
         self, ids: NDArray[np.int64], said: ObjectReports, reports: Sequence[AgentReport], columns: NDArray[np.intp],
-        members: NDArray[np.int32],
+        members: NDArray[np.int32], ratio: F64,
     ) -> Reports:  # fmt: skip
-        """Return reports with what honest agents would report; ``members`` (J, R) are the agents' detections."""
+        """Return reports with what honest agents would report.
+
+        ``members`` (J, R) are the agents' detections, ``ratio`` (J, A) is that of what they withhold.
+        """
         xy_m, std_m = np.full((*said.seen.shape, 2), np.nan), np.ones(said.seen.shape)
         for place, (report, column) in enumerate(zip(reports, columns, strict=True)):
             hit = members[:, place] >= 0
@@ -274,8 +278,8 @@ class CommandCenter:
         return Reports(
             ids, said.seen, said.able, said.sees, model.reported(reported_columns(said)[0]), model.of_others,
             model.invented(own), model.silent_views(of_place[0], said.silent_now),
-            np.array([model.alone.bias, model.shared.bias]), model.displaced(own), model.there(said, of_place, own),
-            model.real.bias, xy_m, std_m, said.repeats,
+            np.array([model.alone.bias, model.shared.bias]), model.displaced(own),
+            model.there(said, of_place, own, ratio), model.real.bias, xy_m, std_m, said.repeats,
         )  # fmt: skip
 
 

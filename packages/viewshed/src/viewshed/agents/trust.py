@@ -354,9 +354,9 @@ class Trust:
         most = np.sort(np.maximum(gain, 0.0), axis=1)[:, ::-1][:, : self.rules.objects]
         against, of_views = self._of_views()
         of_shares = most.sum(axis=1) + np.minimum(gain, 0.0).sum(axis=1)
-        # ... and over the shares of the objects about which they may.
         # Who withholds objects is trusted less in all that it says.
         of_views = of_views + self._lies @ np.maximum(withheld, 0.0)
+        # ... and over the shares of the objects about which they may.
         logs = np.logaddexp.reduce(of_shares, axis=0) - np.log(len(of_shares)) + of_views
         opened, closed = self._own[:, _AT_ONCE].T
         others = max(self.agents - 1, 1)
