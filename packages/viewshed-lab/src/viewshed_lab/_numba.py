@@ -1,7 +1,4 @@
-"""A fast arctangent for compiled loops.
-
-Blocks of points by columns: compiled loops use vectors only on contiguous numbers, and short ones stay at hand.
-"""
+"""A fast arctangent for compiled loops."""
 
 from __future__ import annotations
 
@@ -30,16 +27,3 @@ def atan2(y: Any, x: Any) -> Any:
     a = np.float32(3.14159274) - a if x < 0 else a
     a = -a if y < 0 else a
     return np.float32(-3.14159274) if a >= np.float32(3.14159265) else a
-
-
-BLOCK = 1024
-"""Points of a block."""
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def split(points: Any, start: int, x: Any, y: Any, z: Any) -> Any:
-    """Write the coordinates of the block of ``points`` (N, 3) from ``start`` on, and return how many it has."""
-    count = min(BLOCK, points.shape[0] - start)
-    for k in range(count):
-        x[k], y[k], z[k] = points[start + k, 0], points[start + k, 1], points[start + k, 2]
-    return count

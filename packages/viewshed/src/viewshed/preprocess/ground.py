@@ -31,15 +31,6 @@ _CoreGround = tuple[
 ]
 
 
-def lattice_nodes(half_extent_m: float) -> int:
-    """Return the nodes along a side of the lattice: of 1 m where it is large, of .5 m where it is small.
-
-    >>> lattice_nodes(64.0), lattice_nodes(16.0)
-    (128, 64)
-    """
-    return 128 if half_extent_m > 32.0 else 64
-
-
 def ground_of_lows(
     lows_m: NDArray[np.float32], rise_m: NDArray[np.float32], half_extent_m: float, sensor_height_m: float | None
 ) -> HeightMap:
