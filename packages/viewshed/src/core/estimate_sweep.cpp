@@ -7,6 +7,7 @@
 #include "calibration.hpp"
 #include "depth_images.hpp"
 #include "evidence.hpp"
+#include "farthest_returns.hpp"
 #include "grid.hpp"
 #include "height_map.hpp"
 #include "no_return.hpp"
@@ -43,6 +44,25 @@ Identity identify(const SweepInput& sweep, const SensorModel* expected) {
     if (found.sensor == OTHER_BEAMS && found.ring) return {std::move(found.ring), sweep.ring, nullptr};
     return {std::move(found.ring), sweep.ring, found.sensor < 0 ? model : sensors[std::size_t(found.sensor)]};
 }
+
+// A sweep with one return of each beam.
+struct OneReturnABeam {
+    SweepInput sweep;
+    std::optional<Buffer<float>> points;
+    std::optional<Buffer<std::int16_t>> ring;
+
+    explicit OneReturnABeam(const SweepInput& given) : sweep(given) {
+        const auto rows = farthest_returns(given.points, given.ring);
+        if (!rows) return;
+        points.emplace(3 * rows->size());
+        for (std::size_t k = 0; k < rows->size(); ++k) std::copy_n(given.points[std::size_t((*rows)[k])], 3, &(*points)[3 * k]);
+        sweep.points = {points->data(), rows->size(), 3};
+        if (!given.ring) return;
+        ring.emplace(rows->size());
+        for (std::size_t k = 0; k < rows->size(); ++k) (*ring)[k] = (*given.ring)[std::size_t((*rows)[k])];
+        sweep.ring = View1<const std::int16_t>(*ring);
+    }
+};
 
 // Where the beams of a range image point, and what of it says which beams are missing.
 struct BeamImage {
@@ -147,8 +167,10 @@ View1<const std::int32_t> SweepEstimator::nodes_of_cells(std::size_t nodes) cons
     return nodes_of_cells_.emplace(nodes, std::move(at.node)).first->second;
 }
 
-SweepEstimate SweepEstimator::estimate(const SweepInput& sweep, const SensorModel* expected) const {
-    // 1. The rings and the sensor.
+SweepEstimate SweepEstimator::estimate(const SweepInput& given, const SensorModel* expected) const {
+    // 1. One return of each beam; the rings and the sensor.
+    const OneReturnABeam one(given);
+    const SweepInput& sweep = one.sweep;
     const Identity identity = identify(sweep, expected);
     const SensorModel* const model = identity.model;
     const auto ring = identity.ring();

@@ -67,7 +67,7 @@ public:
 
     // The field of view of a sweep. A sensor that is expected, that of the sweep before, is looked at first; the result is the
     // same without.
-    SweepEstimate estimate(const SweepInput& sweep, const SensorModel* expected = nullptr) const;
+    SweepEstimate estimate(const SweepInput& given, const SensorModel* expected = nullptr) const;
 
     const BevGrid& grid() const { return grid_; }
 

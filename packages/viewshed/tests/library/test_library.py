@@ -172,6 +172,7 @@ def test_the_library_answers_as_python_does_on_simulated_sweeps(library: c.CDLL,
     assert_alike(library, sweep)
     tilt = np.array([np.cos(0.1), 0.0, np.sin(0.1), 0.0])
     assert_alike(library, sweep.replace(attitude=tilt))
+    assert_alike(library, sweep.select(np.repeat(np.arange(len(sweep)), 2)))
     assert_alike(library, sweep.select(np.arange(3)))
     assert_alike(library, sweep.select(np.arange(0)))
 

@@ -5,6 +5,7 @@
 #include <optional>
 #include <utility>
 
+#include "farthest_returns.hpp"
 #include "ground_lattice.hpp"
 #include "stages.hpp"
 
@@ -12,6 +13,19 @@ namespace viewshed {
 
 void bind_level_sweep(nb::module_& m) {
     m.attr("LEVEL_TILT") = LEVEL_TILT;
+    m.def(
+        "farthest_returns",
+        [](Points points, std::optional<In1<std::int16_t>> ring) {
+            require(points.shape(0) < (std::size_t{1} << 31), "a sweep must have fewer than 2^31 points");
+            std::optional<View1<const std::int16_t>> rings;
+            if (ring) {
+                require(ring->shape(0) == points.shape(0), "ring must have one row for each point");
+                rings = view(*ring);
+            }
+            return array_or_none(without_lock([&] { return farthest_returns(view(points), rings); }));
+        },
+        "points"_in, "ring"_in.none(),
+        "Rows of the farthest return of each beam of points (N, 3); None where each beam has one.");
     using RotationArray = nb::ndarray<const double, nb::shape<3, 3>, nb::c_contig, nb::device::cpu>;
     m.def(
         "level_sweep",

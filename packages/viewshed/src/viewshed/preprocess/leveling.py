@@ -51,7 +51,7 @@ class Held:
 class LeveledSweep:
     """A sweep in its ``level`` frame, without ego returns, null returns and clutter; M ≤ N rows in their order."""
 
-    sweep: Sweep  # the sweep that it came from
+    sweep: Sweep  # the sweep that it came from, with the farthest return of each beam
     points: NDArray[np.float32]  # (M, 3) float32 meters in ``level`` (the sensor is at (0, 0, sensor_height_m))
     range_m: NDArray[np.float32]  # (M,) float32 horizontal range from the sensor
     azimuth: NDArray[np.float32]  # (M,) float32 radians in [-π, π), counter-clockwise from forward
@@ -65,6 +65,7 @@ class LeveledSweep:
     # what it takes from earlier sweeps beside their ground (:mod:`viewshed.preprocess.held_ground`); None for a sweep
     # by itself
     held: Held | None = None
+    every_return: Sweep | None = None  # the sweep with all returns, where a beam has several
     # what was computed of it once and is needed again; the first item of a key names who computes it
     derived: dict[Hashable, Any] = field(default_factory=dict, init=False, repr=False)
 
@@ -101,7 +102,8 @@ def level(sweep: Sweep, grid: BevGrid, before: SensorId = UNIDENTIFIED) -> Level
     ground plane is steeper than 6°, which then is taken as the sensor's tilt. The height is the sweep's own, else
     the ground's below the sensor. Returns nearer than 0.5 m, farther than the sensor can see, or inside the box of
     a vehicle below the sensor (heights of 1.2 to 3 m) are left out, and so is clutter
-    (:mod:`viewshed.preprocess.range_image`) where the rings are known or can be identified. In a stream ``before`` is
+    (:mod:`viewshed.preprocess.range_image`) where the rings are known or can be identified. Of a sensor that reports
+    several returns of a beam the farthest counts: the light went on past leaves, wires and rain. In a stream ``before`` is
     what was identified of the sweep before: see :func:`identify_sensor`.
 
     A scan in one plane sees no ground: that is taken to be flat, 0.3 m below the sensor where the height is not known,
@@ -109,6 +111,8 @@ def level(sweep: Sweep, grid: BevGrid, before: SensorId = UNIDENTIFIED) -> Level
     """
     if sweep.planar is not None:
         return _level_planar(sweep, grid)
+    farthest = _core.farthest_returns(sweep.points, sweep.ring)
+    every_return, sweep = (None, sweep) if farthest is None else (sweep, sweep.select(farthest))
     sensor_id = identify_sensor(sweep, before)
     pixels = pixels_of(sensor_id)
     attitude = sweep.known_attitude
@@ -127,6 +131,7 @@ def level(sweep: Sweep, grid: BevGrid, before: SensorId = UNIDENTIFIED) -> Level
         HeightMap(heights_m, _half_extent_m(grid), seen, plane, support, std_m),
         sensor_id,
         None if pixels is None or arrays is None else pixels.image(*arrays),
+        every_return=every_return,
     )
 
 

@@ -1,0 +1,158 @@
+#include "farthest_returns.hpp"
+
+#include <algorithm>
+#include <bit>
+#include <cmath>
+#include <vector>
+
+#include "vectors.hpp"
+
+namespace viewshed {
+namespace {
+
+// Two returns are of one beam if their directions differ by less than this angle, and by what a grain of the coordinates turns
+// the nearer one; beams lie farther apart. Those of one ring may differ more in elevation: beams begin beside the sensor's middle.
+constexpr float ANGLE = 5e-5f, GRAIN_M = 1e-3f, LARGEST_ANGLE = 5e-4f, ANGLE_OF_RING = 4e-3f;
+
+// Nearer returns are none: many sensors report zeros for beams without a return.
+constexpr float LEAST_M = 0.5f;
+
+// Whether a sensor reports several returns of a beam shows in 16 sectors of azimuth, a 2,048th of the turn each; a sweep of few
+// returns is looked at as a whole.
+constexpr int SECTORS_OF_TURN = 2048, ONE_OF = 128;
+constexpr std::size_t FEW = 4096;
+constexpr double LEAST_SHARE = 0.01;
+
+struct Directions {
+    Buffer<float> azimuth, elevation, range_m;
+    explicit Directions(std::size_t n) : azimuth(n), elevation(n), range_m(n) {}
+};
+
+MULTIVERSION void find_directions(const float* __restrict xyz, std::size_t n, float* __restrict azimuth,
+                                  float* __restrict elevation, float* __restrict range_m) {
+    for (std::size_t k = 0; k < n; ++k) {
+        const float x = xyz[3 * k], y = xyz[3 * k + 1], z = xyz[3 * k + 2];
+        const float flat = x * x + y * y, across_m = std::sqrt(flat);
+        azimuth[k] = azimuth_of(y, x);
+        elevation[k] = azimuth_of(z, across_m);
+        range_m[k] = std::sqrt(flat + z * z);
+    }
+}
+
+// What tells whether two returns are of one beam.
+struct Beams {
+    const Directions& at;
+    const std::int16_t* ring;  // null where they are not known
+
+    bool counts(std::size_t k) const { return at.range_m[k] >= LEAST_M; }
+    bool are_one(std::size_t a, std::size_t b) const {
+        const float nearer_m = std::min(at.range_m[a], at.range_m[b]);
+        const float most = std::min(ANGLE + GRAIN_M / nearer_m, LARGEST_ANGLE);
+        const float apart = std::fabs(at.azimuth[a] - at.azimuth[b]);
+        if (std::min(apart, 2.0f * PI - apart) > most) return false;
+        const float higher = std::fabs(at.elevation[a] - at.elevation[b]);
+        return ring ? ring[a] == ring[b] && higher <= ANGLE_OF_RING : higher <= most;
+    }
+};
+
+// Whether enough of some returns share their beam with another.
+bool has_several(const Beams& beams, std::vector<std::uint32_t> some) {
+    const Buffer<float>& azimuth = beams.at.azimuth;
+    std::sort(some.begin(), some.end(), [&](std::uint32_t a, std::uint32_t b) { return azimuth[a] < azimuth[b]; });
+    std::size_t shared = 0;
+    for (std::size_t i = 0; i < some.size(); ++i) {
+        for (std::size_t j = i + 1; j < some.size() && azimuth[some[j]] - azimuth[some[i]] <= LARGEST_ANGLE; ++j) {
+            if (!beams.are_one(some[i], some[j])) continue;
+            ++shared;
+            break;
+        }
+    }
+    return double(shared) > LEAST_SHARE * double(some.size());
+}
+
+// Returns by direction, in a table by a hash of their cell. Cells are twice as wide as two directions of one beam may differ, so
+// that those of a beam lie in one cell or in the one on the nearer side of it.
+class ByDirection {
+public:
+    ByDirection(const Beams& beams, std::size_t count)
+        : beams_(beams), first_(std::bit_ceil(2 * count), NONE), next_(count) {}
+
+    void add(std::uint32_t k) {
+        std::uint32_t& first = first_[slot_of(cell(column_of(k), COLUMNS), cell(row_of(k), 0))];
+        next_[k] = first;
+        first = k;
+    }
+
+    // Call body for each return that was added and is of the same beam.
+    template <typename Body>
+    void for_same_beam(std::uint32_t k, const Body& body) const {
+        const float column = column_of(k), row = row_of(k);
+        const std::int32_t c = cell(column, COLUMNS), r = cell(row, 0), rows = beams_.ring ? 1 : 2;
+        const std::int32_t column_cells[2] = {c, cell(column - float(c) < 0.5f ? column - 1.0f : column + 1.0f, COLUMNS)};
+        const std::int32_t row_cells[2] = {r, row - float(r) < 0.5f ? r - 1 : r + 1};
+        for (int i = 0; i < 2; ++i) {
+            for (int j = 0; j < rows; ++j) {
+                for (std::uint32_t at = first_[slot_of(column_cells[i], row_cells[j])]; at != NONE; at = next_[at]) {
+                    if (beams_.are_one(k, at)) body(at);
+                }
+            }
+        }
+    }
+
+private:
+    static constexpr std::uint32_t NONE = ~std::uint32_t{0};
+    static constexpr float CELL = 2.0f * LARGEST_ANGLE;
+    static constexpr auto COLUMNS = std::int32_t(2.0f * PI / CELL);
+
+    float column_of(std::uint32_t k) const { return (beams_.at.azimuth[k] + PI) * (float(COLUMNS) / (2.0f * PI)); }
+    float row_of(std::uint32_t k) const {
+        return beams_.ring ? float(beams_.ring[k]) : (beams_.at.elevation[k] + PI) / CELL;
+    }
+    // The cell of a place, around a turn of `turn` cells unless that is 0.
+    static std::int32_t cell(float place, std::int32_t turn) {
+        const auto at = std::int32_t(std::floor(place));
+        return turn == 0 ? at : (at + turn) % turn;
+    }
+    std::size_t slot_of(std::int32_t column, std::int32_t row) const {
+        const std::uint64_t mixed = (std::uint64_t(std::uint32_t(column)) << 32 | std::uint32_t(row)) * 0x9e3779b97f4a7c15u;
+        return std::size_t(mixed >> 40) & (first_.size() - 1);
+    }
+
+    Beams beams_;
+    std::vector<std::uint32_t> first_;
+    Buffer<std::uint32_t> next_;
+};
+
+}  // namespace
+
+std::optional<Buffer<std::int32_t>> farthest_returns(View2<const float> points, std::optional<View1<const std::int16_t>> ring) {
+    const std::size_t count = points.rows;
+    // 1. In some sectors: do beams have several returns?
+    Directions at(count);
+    find_directions(points.data, count, at.azimuth.data(), at.elevation.data(), at.range_m.data());
+    const Beams beams{at, ring ? ring->data : nullptr};
+    std::vector<std::uint32_t> some;
+    for (std::size_t k = 0; k < count; ++k) {
+        const int sector = int((at.azimuth[k] + PI) * (float(SECTORS_OF_TURN) / (2.0f * PI)));
+        if ((count <= FEW || sector % ONE_OF == ONE_OF / 2) && beams.counts(k)) some.push_back(std::uint32_t(k));
+    }
+    if (!has_several(beams, std::move(some))) return std::nullopt;
+    // 2. Of each beam the farthest, in the order of the rows.
+    ByDirection seen(beams, count);
+    std::vector<char> kept(count, 1);
+    for (std::uint32_t k = 0; k < count; ++k) {
+        if (!beams.counts(k)) continue;
+        seen.for_same_beam(k, [&](std::uint32_t other) {
+            if (kept[other]) kept[at.range_m[k] > at.range_m[other] ? other : k] = 0;
+        });
+        if (kept[k]) seen.add(k);
+    }
+    Buffer<std::int32_t> rows(std::size_t(std::count(kept.begin(), kept.end(), 1)));
+    std::size_t row = 0;
+    for (std::size_t k = 0; k < count; ++k) {
+        if (kept[k]) rows[row++] = std::int32_t(k);
+    }
+    return rows;
+}
+
+}  // namespace viewshed
