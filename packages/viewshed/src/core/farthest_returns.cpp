@@ -1,6 +1,7 @@
 #include "farthest_returns.hpp"
 
 #include <algorithm>
+#include <array>
 #include <bit>
 #include <cmath>
 #include <vector>
@@ -10,18 +11,27 @@
 namespace viewshed {
 namespace {
 
-// Two returns are of one beam if their directions differ by less than this angle, and by what a grain of the coordinates turns
-// the nearer one; beams lie farther apart. Those of one ring may differ more in elevation: beams begin beside the sensor's middle.
-constexpr float ANGLE = 5e-5f, GRAIN_M = 1e-3f, LARGEST_ANGLE = 5e-4f, ANGLE_OF_RING = 4e-3f;
+// Two returns are of one beam if their directions differ by less than an angle and by what a grain of the coordinates turns the
+// nearer one; beams lie farther apart. Those of one ring may differ more in elevation: beams begin beside the sensor's middle.
+constexpr float LARGEST_ANGLE = 5e-4f, ANGLE_OF_RING = 4e-3f;
+struct Tolerance {
+    float angle, grain_m;
+};
+constexpr Tolerance USUAL{5e-5f, 1e-3f};
+
+// Whether there are beams with several returns is asked with this one: a near and a far return of two beams beside each other
+// point nearly the same way where the sensor moved from one to the next.
+constexpr Tolerance EXACT{2e-5f, 2e-4f};
 
 // Nearer returns are none: many sensors report zeros for beams without a return.
 constexpr float LEAST_M = 0.5f;
 
-// Whether a sensor reports several returns of a beam shows in 16 sectors of azimuth, a 2,048th of the turn each; a sweep of few
-// returns is looked at as a whole.
-constexpr int SECTORS_OF_TURN = 2048, ONE_OF = 128;
-constexpr std::size_t FEW = 4096;
+// A sensor reports several returns of a beam if more than this share of the returns are of the beam of another. It shows in 16
+// sectors of azimuth, a 1,024th of the turn each, and in several of them: while a car turns, the first beams of a sweep and the
+// last ones point the same way, and have one return each. A sweep of few returns is looked at as a whole.
 constexpr double LEAST_SHARE = 0.01;
+constexpr int SECTORS_OF_TURN = 1024, LOOKED_AT = 16, LEAST_SECTORS = 4;
+constexpr std::size_t FEW = 4096;
 
 struct Directions {
     Buffer<float> azimuth, elevation, range_m;
@@ -43,11 +53,12 @@ MULTIVERSION void find_directions(const float* __restrict xyz, std::size_t n, fl
 struct Beams {
     const Directions& at;
     const std::int16_t* ring;  // null where they are not known
+    Tolerance tolerance;
 
     bool counts(std::size_t k) const { return at.range_m[k] >= LEAST_M; }
     bool are_one(std::size_t a, std::size_t b) const {
         const float nearer_m = std::min(at.range_m[a], at.range_m[b]);
-        const float most = std::min(ANGLE + GRAIN_M / nearer_m, LARGEST_ANGLE);
+        const float most = std::min(tolerance.angle + tolerance.grain_m / nearer_m, LARGEST_ANGLE);
         const float apart = std::fabs(at.azimuth[a] - at.azimuth[b]);
         if (std::min(apart, 2.0f * PI - apart) > most) return false;
         const float higher = std::fabs(at.elevation[a] - at.elevation[b]);
@@ -55,8 +66,8 @@ struct Beams {
     }
 };
 
-// Whether enough of some returns share their beam with another.
-bool has_several(const Beams& beams, std::vector<std::uint32_t> some) {
+// How many of some returns are of the beam of another.
+std::size_t count_shared(const Beams& beams, std::vector<std::uint32_t>& some) {
     const Buffer<float>& azimuth = beams.at.azimuth;
     std::sort(some.begin(), some.end(), [&](std::uint32_t a, std::uint32_t b) { return azimuth[a] < azimuth[b]; });
     std::size_t shared = 0;
@@ -67,7 +78,28 @@ bool has_several(const Beams& beams, std::vector<std::uint32_t> some) {
             break;
         }
     }
-    return double(shared) > LEAST_SHARE * double(some.size());
+    return shared;
+}
+
+// Whether the sensor reports several returns of a beam.
+bool has_several(const Beams& beams) {
+    const Buffer<float>& azimuth = beams.at.azimuth;
+    const std::size_t count = azimuth.size();
+    const bool is_small = count <= FEW;
+    constexpr int EVERY = SECTORS_OF_TURN / LOOKED_AT;
+    std::array<std::vector<std::uint32_t>, LOOKED_AT> some;
+    for (std::size_t k = 0; k < count; ++k) {
+        if (!beams.counts(k)) continue;
+        const int sector = is_small ? EVERY / 2 : int((azimuth[k] + PI) * (float(SECTORS_OF_TURN) / (2.0f * PI)));
+        if (sector % EVERY == EVERY / 2) some[std::size_t(sector / EVERY)].push_back(std::uint32_t(k));
+    }
+    std::size_t shared = 0, every = 0;
+    int sectors = 0;
+    for (auto& of_sector : some) {
+        const std::size_t here = count_shared(beams, of_sector);
+        shared += here, every += of_sector.size(), sectors += here > 0;
+    }
+    return double(shared) > LEAST_SHARE * double(every) && sectors >= (is_small ? 1 : LEAST_SECTORS);
 }
 
 // Returns by direction, in a table by a hash of their cell. Cells are twice as wide as two directions of one beam may differ, so
@@ -127,17 +159,13 @@ private:
 
 std::optional<Buffer<std::int32_t>> farthest_returns(View2<const float> points, std::optional<View1<const std::int16_t>> ring) {
     const std::size_t count = points.rows;
-    // 1. In some sectors: do beams have several returns?
+    // 1. Do beams have several returns?
     Directions at(count);
     find_directions(points.data, count, at.azimuth.data(), at.elevation.data(), at.range_m.data());
-    const Beams beams{at, ring ? ring->data : nullptr};
-    std::vector<std::uint32_t> some;
-    for (std::size_t k = 0; k < count; ++k) {
-        const int sector = int((at.azimuth[k] + PI) * (float(SECTORS_OF_TURN) / (2.0f * PI)));
-        if ((count <= FEW || sector % ONE_OF == ONE_OF / 2) && beams.counts(k)) some.push_back(std::uint32_t(k));
-    }
-    if (!has_several(beams, std::move(some))) return std::nullopt;
+    Beams beams{at, ring ? ring->data : nullptr, EXACT};
+    if (!has_several(beams)) return std::nullopt;
     // 2. Of each beam the farthest, in the order of the rows.
+    beams.tolerance = USUAL;
     ByDirection seen(beams, count);
     std::vector<char> kept(count, 1);
     for (std::uint32_t k = 0; k < count; ++k) {

@@ -15,23 +15,23 @@ from viewshed.preprocess.leveling import LeveledSweep, level
 GRID = BevGrid(128, 64.0)
 
 NUMBERS: dict[str, tuple[int, float, float]] = {
-    "arrival": (2, 1.07058, 27.9083),
+    "arrival": (2, 0.92027, 30.2711),
     "departure": (2, 0, 0),
     "same_noise": (1, 0.0660463, 1),
-    "registration": (1, 0.305573, 0.305573),
-    "frame_noise": (1, 0.00531843, 0.0308933),
+    "registration": (1, 0.372864, 0.372864),
+    "frame_noise": (1, 0.00554121, 0.043272),
     "nearer": (2, 0.0125579, 0.180833),
     "farther": (2, 0.0161076, 0.117917),
     "no_return": (3, 0.0638889, 0.893333),
     "gone": (1, 0, 0),
-    "out_of_nowhere": (2, 0.0177272, 0.448445),
+    "out_of_nowhere": (2, 0.0203627, 0.597618),
     "jump": (1, 0, 0),
-    "sensor_height": (1, 1.84536, 1.84536),
-    "returns": (1, 31323, 31323),
+    "sensor_height": (1, 1.84533, 1.84533),
+    "returns": (1, 30504, 30504),
     "near_returns": (1, 0, 0),
-    "range_noise": (1, 0.0143858, 0.0143858),
-    "ground_roughness": (1, 0.0130753, 0.0130753),
-    "isolated": (2, 0.00338204, 0.00338204),
+    "range_noise": (1, 0.014347, 0.014347),
+    "ground_roughness": (1, 0.0118478, 0.0118478),
+    "isolated": (2, 0.00347279, 0.00347279),
 }
 """Of each evidence its version, and the mean and the largest number of all sectors where it does not abstain."""
 
@@ -60,12 +60,9 @@ def _monitored() -> MonitoredSweep:
             xyz[_between(azimuth, 1.2, 1.5) & (mixed < 0.2)] *= 1.5  # below the ground
             xyz[_between(azimuth, 1.7, 1.9), 2] += 0.05  # off their beams
             xyz[_between(azimuth, -0.6, -0.3)] *= rng.normal(1.0, 0.02, (1, 3))
-            again = np.flatnonzero(_between(azimuth, -1.8, -1.5) & (mixed < 0.5))
-            xyz = np.concatenate([xyz, 1.2 * xyz[again]]).astype(np.float32)  # twice from one beam
-            rows = np.append(np.flatnonzero(~_between(azimuth, 2.0, 2.4)), count + np.arange(len(again)))
-        ring = None if sweep.ring is None else np.append(sweep.ring, sweep.ring[again] if number == 5 else [])
+            rows = np.flatnonzero(~_between(azimuth, 2.0, 2.4))
         made = Sweep(
-            xyz, ring=ring, model=sweep.model, sensor_height_m=sweep.sensor_height_m, t_ns=number * 100_000_000,
+            xyz, ring=sweep.ring, model=sweep.model, sensor_height_m=sweep.sensor_height_m, t_ns=number * 100_000_000,
             world_from_sensor=Rigid.identity(),
         )  # fmt: skip
         seen.append(level(made.select(rows), GRID))
