@@ -260,7 +260,10 @@ void find_new_ranges(const SweepView& view, const std::vector<const SweepView*>&
     }
 }
 
-std::array<int, 2> best_shift(View2<const std::uint8_t> now, View2<const std::uint8_t> before, int most) {
+// Shifts that differ by no more are of one peak: surfaces are wider than a cell.
+constexpr int BESIDE_CELLS = 2;
+
+Shift best_shift(View2<const std::uint8_t> now, View2<const std::uint8_t> before, int most) {
     const int cells = int(now.rows), window = 2 * most + 1;
     const auto around = [cells](int k) { return std::size_t((k % cells + cells) % cells); };
     // 1. The cells of now with as many about them as a shift reaches, so that no sum has to go around.
@@ -282,8 +285,16 @@ std::array<int, 2> best_shift(View2<const std::uint8_t> now, View2<const std::ui
             }
         }
     }
-    const int best = int(std::max_element(votes.begin(), votes.end()) - votes.begin());
-    return {best / window - most, best % window - most};
+    // 3. The best, and the best of those that are not beside it.
+    const int best = int(std::max_element(votes.begin(), votes.end()) - votes.begin()), down = best / window, across = best % window;
+    std::uint32_t elsewhere = 0;
+    for (int i = 0; i < window; ++i) {
+        for (int j = 0; j < window; ++j) {
+            const bool is_beside = std::abs(i - down) <= BESIDE_CELLS && std::abs(j - across) <= BESIDE_CELLS;
+            if (!is_beside) elsewhere = std::max(elsewhere, votes[std::size_t(i * window + j)]);
+        }
+    }
+    return {down - most, across - most, votes[std::size_t(best)], elsewhere};
 }
 
 float range_noise(View2<const float> points, float step_share, float step_m, std::size_t least) {

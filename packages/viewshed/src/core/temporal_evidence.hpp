@@ -36,9 +36,15 @@ void find_repeats(const SweepView& view, const SweepView& other, View1<float> sh
 void find_new_ranges(const SweepView& view, const std::vector<const SweepView*>& others,
                      const std::vector<float>& turned_columns, View1<float> nearer, View1<float> farther, View1<float> silent);
 
-// The shift (down, across) in whole cells, each in [-most, most], that lays the cells of one sweep best on those of another;
-// both are square and go around at their edges. The first of the best.
-std::array<int, 2> best_shift(View2<const std::uint8_t> now, View2<const std::uint8_t> before, int most);
+// The shift in whole cells, each way in [-most, most], that lays the cells of one sweep best on those of another: the first of the
+// best; how many cells it lays on each other, and how many the best shift that lies more than two cells away does.
+struct Shift {
+    int down, across;
+    std::uint32_t cells, elsewhere;
+};
+
+// Both are square and go around at their edges.
+Shift best_shift(View2<const std::uint8_t> now, View2<const std::uint8_t> before, int most);
 
 // The lower quartile of second differences of range between returns that follow each other in this order on one surface, where
 // steps are less than step_share of the range and step_m; NaN where there are fewer than `least`.

@@ -146,6 +146,8 @@ def test_one_kind_beyond_doubt_counts_and_several_count_more_in_one_place() -> N
     surprises = np.zeros((3, 2, SECTORS))
     surprises[:, 0, 10] = 5.0
     surprises[1, 1, 10] = surprises[2, 1, 50] = 4.0
-    scores = sector_scores(surprises).max(axis=1)
+    scores = sector_scores(surprises, np.array([False, False])).max(axis=1)
     assert scores[[0, 2]] == pytest.approx(3.5)
     assert 3.5 < scores[1] < 6.0
+    assert sector_scores(surprises, np.array([True, True])).max(axis=1) == pytest.approx(3.5), "of one place"
+    assert sector_scores(surprises, np.array([True, False])).max(axis=1) == pytest.approx(scores)

@@ -13,7 +13,8 @@ from viewshed.preprocess.leveling import level
 from viewshed_lab.sim import Box, Scene, cast
 
 GRID = BevGrid(128, 32.0)
-STREET = cast(lidar_model("vlp16"), Scene((Box(14, 6, 1, 20, 8), Box(-20, -3, 1, 60, 9), Box(6, -9, 4.2, 1.8, 1.5))), 1.8)
+BOXES = Box(14, 6, 1, 20, 8), Box(-20, -3, 1, 60, 9), Box(6, -9, 4.2, 1.8, 1.5)
+STREET = cast(lidar_model("vlp16"), Scene(BOXES), 1.8)
 
 
 def with_nearer_returns(sweep: Sweep, share: float = 0.3, seed: int = 5) -> Sweep:
@@ -53,10 +54,10 @@ def test_a_sweep_with_one_return_a_beam_is_taken_as_it_is() -> None:
 
 def test_the_guarantee_counts_the_nearest() -> None:
     grid, several = GRIDS["road"], with_nearer_returns(STREET)
-    leveled = level(several, grid)
     given = Given.of(level(STREET, grid))
-    assert np.array_equal(Envelope.of(leveled, given, grid, CAR).nearest_m, given.nearest_returns(several))
-    assert Envelope.of(leveled, given, grid, CAR).claim.sum() < Envelope.of(level(STREET, grid), given, grid, CAR).claim.sum()
+    one, of_several = (Envelope.of(level(sweep, grid), given, grid, CAR) for sweep in (STREET, several))
+    assert np.array_equal(of_several.nearest_m, given.nearest_returns(several))
+    assert of_several.claim.sum() < one.claim.sum()
 
 
 def test_directions_and_rings_tell_what_is_of_one_beam() -> None:
@@ -68,7 +69,7 @@ def test_directions_and_rings_tell_what_is_of_one_beam() -> None:
     # Of those that are as far the first counts; the turn has no seam.
     assert rows_of(np.array([ahead, ahead, ahead], np.float32)) == [0]
     assert rows_of(np.array([behind, (-10.0, 1e-6, -2.0)], np.float32)) == [1]
-    # Beams of a ring begin beside the sensor's middle, so that their elevation differs with the range; those beside do not.
+    # Beams of a ring begin beside the sensor's middle, so that their elevation differs with the range.
     assert rows_of(np.array([(3.0, 0.0, 0.31), (30.0, 0.0, 3.0)], np.float32), [7, 7]) == [1]
     assert rows_of(np.array([(3.0, 0.0, 0.31), (30.0, 0.0, 3.0)], np.float32)) is None
     assert rows_of(np.zeros((0, 3), np.float32)) is None

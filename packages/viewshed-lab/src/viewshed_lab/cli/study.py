@@ -141,7 +141,7 @@ def monitor(
     if run or not calibrated.exists():
         streams = list(read_streams(folder / "streams", "calibration"))
         fitted = Calibration.fit(
-            [one.benign for one in streams], plan.hz, places=[one.style for one in streams],
+            [one.benign for one in streams], plan.hz,
             facts={"per_hour": "6", "streams": f"{len(streams)} simulated, {plan.seconds:g} s each"},
         )  # fmt: skip
         save_calibration(fitted, calibrated)

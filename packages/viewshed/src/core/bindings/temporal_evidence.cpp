@@ -216,13 +216,14 @@ void bind_temporal_evidence(nb::module_& m) {
             const auto bytes = [cells](const In2<bool>& mask) {
                 return View2<const std::uint8_t>{reinterpret_cast<const std::uint8_t*>(mask.data()), cells, cells};
             };
-            std::array<int, 2> shift{};
+            Shift shift{};
             without_lock([&] { shift = best_shift(bytes(now), bytes(before), most); });
-            return tuple_of(shift[0], shift[1]);
+            return tuple_of(shift.down, shift.across, int(shift.cells), int(shift.elsewhere));
         },
         "now"_in, "before"_in, "most"_a,
-        "Shift (down, across) in cells, each in [-most, most], that lays cells of a sweep best on those of another; edges go "
-        "around, and the first of the best counts.");
+        "Shift (down, across) in cells, each in [-most, most], that lays cells of a sweep best on those of another, how many cells "
+        "it lays on each other, and how many the best shift more than two cells away does; edges go around, and the first of the "
+        "best counts.");
     m.def(
         "range_noise",
         [](Points points, float step_share, float step_m, std::size_t least) {

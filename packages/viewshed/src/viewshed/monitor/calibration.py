@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from viewshed._files import DAMAGED, read_arrays, write_atomic
-from viewshed.arrays import F32, F64
+from viewshed.arrays import F32, F64, Mask
 from viewshed.monitor.evidence import EARLIER_SWEEPS, EVIDENCE, SECTORS, Evidence
 from viewshed.monitor.score import (
     BESIDE,
@@ -32,6 +32,7 @@ from viewshed.monitor.score import (
     Past,
     SurpriseScale,
     numbers_of,
+    of_place,
     sector_scores,
 )
 from viewshed.monitor.tails import heights_of, peaks_of, shape_of
@@ -45,6 +46,9 @@ CONFIDENCE = 0.9
 LEAST_MINUTES = 1.0
 """Driving without which nothing is calibrated."""
 
+PARTS = 7
+"""Parts of the benign streams, each of which is scored by the others."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Calibration:
@@ -52,6 +56,7 @@ class Calibration:
 
     Attributes:
         names: (E,) kinds of evidence, in their order.
+        of_place: (E,) bool, which kinds change with the place and count as one.
         prior_scale: (E,) median over the streams of the scale of each kind, see ``score.Past``.
         changes: scale (E, K) of standardized changes of the strongest sector on benign sweeps.
         scores: scale (1, K) of scores on benign sweeps.
@@ -66,6 +71,7 @@ class Calibration:
     """
 
     names: tuple[str, ...]
+    of_place: Mask
     prior_scale: F32
     changes: SurpriseScale
     scores: SurpriseScale
@@ -77,11 +83,9 @@ class Calibration:
 
     def __post_init__(self) -> None:
         kinds = len(self.names)
-        if self.prior_scale.shape != (kinds,) or len(self.changes.values) != kinds or len(self.scores.values) != 1:
-            raise ValueError(
-                f"a calibration must be of {kinds} kinds of evidence, got {self.prior_scale.shape} and"
-                f" {len(self.changes.values)}; calibrate it again"
-            )
+        shapes = self.prior_scale.shape, self.of_place.shape, (len(self.changes.values),)
+        if set(shapes) != {(kinds,)} or len(self.scores.values) != 1:
+            raise ValueError(f"a calibration must be of {kinds} kinds of evidence, got {shapes}; calibrate it again")
         if not self.hours * 60.0 >= LEAST_MINUTES - 1e-6:
             raise ValueError(
                 f"benign drives must last {LEAST_MINUTES:g} minute at least, got {self.hours * 60.0:.2g}; give more"
@@ -94,7 +98,6 @@ class Calibration:
         hz: float,
         kinds: Mapping[str, Evidence] = EVIDENCE,
         base: Calibration | None = None,
-        places: Sequence[str] = (),
         facts: Mapping[str, str] | None = None,
     ) -> Self:
         """Return the calibration of benign streams.
@@ -105,18 +108,12 @@ class Calibration:
             kinds: of the evidence.
             base: its scales are kept and only the rates are from these streams: a few minutes of an own vehicle cannot
                 say how rare a change is. None fits all.
-            places: of each stream the kind of place it is of; each is one of its own where none are given. The peaks
-                of its scores are by how rare changes are in all other places, as they are for a stream of a new place.
             facts: what else must be known.
 
         Raises:
             ValueError: there is too little driving.
         """
-        if places and len(places) != len(streams):
-            raise ValueError(f"places must be one for each of {len(streams)} streams, got {len(places)}")
-        long = [number for number, evidence in enumerate(streams) if len(evidence) > EARLIER_SWEEPS]
-        pasts = [streams[number].astype(np.float32) for number in long]
-        kept = [places[number] if places else str(number) for number in long]
+        pasts = [evidence.astype(np.float32) for evidence in streams if len(evidence) > EARLIER_SWEEPS]
         hours = sum(map(len, pasts)) / (3600.0 * hz)
         if hours * 60.0 < LEAST_MINUTES - 1e-6:
             raise ValueError(
@@ -128,25 +125,27 @@ class Calibration:
         changes = [changes_of(one, prior, kinds) for one in pasts]
         strongest = [np.fmax.reduce(one, axis=2) for one in changes]
         scale = base.changes if base is not None else SurpriseScale.fit(strongest)
-        # 3. Scores, each by the streams of other places, and their peaks.
-        scores = [sector_scores(scale(one)).max(axis=1) for one in changes]
-        if base is None and len(set(kept)) > 1:
-            others = {
-                place: SurpriseScale.fit([one for one, where in zip(strongest, kept, strict=True) if where != place])
-                for place in set(kept)
-            }
-            scores = [sector_scores(others[place](one)).max(axis=1) for one, place in zip(changes, kept, strict=True)]
+        # 3. Scores, those of each part of the streams by how rare changes are in the other parts, and their peaks.
+        scales = [scale] * len(changes)
+        if base is None and len(changes) > 1:
+            others = [
+                SurpriseScale.fit([one for number, one in enumerate(strongest) if number % PARTS != part])
+                for part in range(min(PARTS, len(changes)))
+            ]
+            scales = [others[number % PARTS] for number in range(len(changes))]
+        counts_once = of_place(kinds)
+        scores = [sector_scores(by(one), counts_once).max(axis=1) for by, one in zip(scales, changes, strict=True)]
         peaks = np.sort(np.concatenate([peaks_of(one) for one in scores]).astype(np.float64))
         shape = base.shape if base is not None else shape_of(heights_of(peaks)[1])
         return cls(
-            tuple(kinds), prior, scale, SurpriseScale.fit([one[:, None] for one in scores]), peaks, shape, hours,
-            dict(facts or {}), evidence_id(kinds),
+            tuple(kinds), counts_once, prior, scale, SurpriseScale.fit([one[:, None] for one in scores]), peaks, shape,
+            hours, dict(facts or {}), evidence_id(kinds),
         )  # fmt: skip
 
     def score(self, changes: F32) -> tuple[float, F32]:
         """Return the score of standardized changes (E, SECTORS), and the surprise (E, SECTORS) of each."""
         surprises = self.changes(changes[None])
-        return float(sector_scores(surprises).max()), surprises[0]
+        return float(sector_scores(surprises, self.of_place).max()), surprises[0]
 
     def p_value(self, score: float) -> float:
         """Return the share of benign sweeps that score as high at least, going on beyond the highest."""
@@ -296,14 +295,14 @@ def alarm_limit(benign: ArrayLike, rate: float, promise: Promise = "expected", *
 
 def evidence_id(kinds: Mapping[str, Evidence]) -> str:
     """Return what identifies evidence: a hash of names, versions and grains in their order, and of the sectors."""
-    rows = [[name, kind.version, kind.grain, kind.two_sided] for name, kind in kinds.items()]
+    rows = [[name, kind.version, kind.grain, kind.two_sided, kind.of_place] for name, kind in kinds.items()]
     return hashlib.sha256(json.dumps([SECTORS, EARLIER_SWEEPS, ONSET_SWEEPS, BESIDE, rows]).encode()).hexdigest()[:16]
 
 
 EVIDENCE_ID = evidence_id(EVIDENCE)
 """Of the evidence of this version; other numbers void a calibration, a release does not."""
 
-NAME, FORMAT_VERSION = "stream", 7
+NAME, FORMAT_VERSION = "stream", 8
 
 SHIPPED = Path(__file__).parent / "monitors" / "simulated.npz"
 """The shipped calibration."""
@@ -322,7 +321,7 @@ def save_calibration(calibration: Calibration, path: str | Path) -> None:
         "version": FORMAT_VERSION, "monitor": NAME, "evidence": calibration.evidence, "names": calibration.names,
         "hours": calibration.hours, "shape": calibration.shape, "facts": dict(calibration.facts),
     }  # fmt: skip
-    arrays: dict[str, Any] = {"prior_scale": calibration.prior_scale, "peaks": calibration.peaks}
+    arrays: dict[str, Any] = {name: getattr(calibration, name) for name in ("of_place", "prior_scale", "peaks")}
     for name in ("changes", "scores"):
         scale: SurpriseScale = getattr(calibration, name)
         arrays |= {f"{name}.values": scale.values, f"{name}.surprises": scale.surprises}
@@ -352,7 +351,8 @@ def load_calibration(path: str | Path) -> Calibration:
             for name in ("changes", "scores")
         )
         return Calibration(
-            tuple(map(str, about["names"])), np.asarray(arrays["prior_scale"], np.float32), changes, scores,
+            tuple(map(str, about["names"])), np.asarray(arrays["of_place"], np.bool_),
+            np.asarray(arrays["prior_scale"], np.float32), changes, scores,
             np.asarray(arrays["peaks"], np.float64), float(about["shape"]), float(about["hours"]),
             {str(key): str(text) for key, text in about["facts"].items()}, str(about["evidence"]),
         )  # fmt: skip

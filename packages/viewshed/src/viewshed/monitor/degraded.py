@@ -24,7 +24,7 @@ FEWER, FEWEST = 0.8, 0.9
 NOISIER, LEAST_NOISE_M, NOISIEST = 1.6, 0.03, 0.9
 """... with this factor of the noise that all but a tenth of the sweeps before had, if it is more than this, ..."""
 
-MORE_ISOLATED, LEAST_ISOLATED = 3.0, 0.01
+MORE_ISOLATED, LEAST_ISOLATED = 1.5, 0.003
 """... or with isolated returns, of rain, snow or leaves, beyond so many times their upper spread, and this share."""
 
 RARE_SHARE = 0.02

@@ -9,8 +9,9 @@ Evidence is a matrix (E, SECTORS), one line for each kind. Five steps make one n
    robust. What is odd in a place (a quarry, a fence, a noisy pose) is odd in all its sweeps, and so is no change.
 4. A standardized change becomes its surprise, -log10 of the share of benign sweeps of calibration streams of which any
    sector changed as much: 2 means one in a hundred. So kinds of evidence compare.
-5. In each sector what surprises are beyond 1.5 is added up over the kinds; the score is that of the highest sector. One
-   kind that is beyond doubt is an attack's, and so are several rare changes at once in one place.
+5. In each sector what surprises are beyond 1.5 is put together over the kinds; the score is that of the highest sector.
+   One kind that is beyond doubt is an attack's, and so are several rare changes at once in one place. Kinds that change
+   with the place count as one.
 
 A rank among the 600 sweeps of a minute could not ask for fewer than 60 false alarms an hour; the tail beyond is that of
 the calibration streams (:mod:`viewshed.monitor.calibration`).
@@ -73,6 +74,11 @@ def numbers_of(evidence: NDArray[np.floating[Any]], kinds: Mapping[str, Evidence
 def two_sided(kinds: Mapping[str, Evidence]) -> NDArray[np.bool_]:
     """Return for which kinds (E,) less than before is as suspicious as more."""
     return np.array([kind.two_sided for kind in kinds.values()])
+
+
+def of_place(kinds: Mapping[str, Evidence]) -> NDArray[np.bool_]:
+    """Return which kinds (E,) change with the place and count as one."""
+    return np.array([kind.of_place for kind in kinds.values()])
 
 
 def grains_of(kinds: Mapping[str, Evidence]) -> F32:
@@ -246,15 +252,19 @@ def _knots(known: F32, peaks: Sequence[F32]) -> tuple[F32, F32]:
     return np.maximum.accumulate(values).astype(np.float32), np.maximum.accumulate(surprises).astype(np.float32)
 
 
-def sector_scores(surprises: NDArray[np.floating[Any]]) -> F32:
+def sector_scores(surprises: NDArray[np.floating[Any]], of_place: NDArray[np.bool_]) -> F32:
     """Return the scores (…, SECTORS) of surprises (…, E, SECTORS): the norm of what they are beyond ``RARE``.
 
-    NaN counts as none. The norm of the exponent ``TOGETHER`` is more than the largest and less than the sum: kinds of
-    evidence change together on benign sweeps, as height and roughness do where the ground is another.
+    NaN counts as none. Of the kinds ``of_place`` (E,) bool the strongest counts. The norm of the exponent ``TOGETHER``
+    is more than the largest and less than the sum.
 
     >>> surprises = np.array([[[2.5, 1.0], [2.5, 9.5]], [[np.nan, 1.0], [3.5, np.nan]]])
-    >>> sector_scores(surprises).astype(float).round(3).tolist()
+    >>> sector_scores(surprises, np.array([False, False])).astype(float).round(3).tolist()
     [[1.587, 8.0], [2.0, 0.0]]
+    >>> sector_scores(surprises, np.array([True, True])).tolist()
+    [[1.0, 8.0], [2.0, 0.0]]
     """
     beyond = np.maximum(np.nan_to_num(surprises) - RARE, 0.0)
-    return np.asarray((beyond**TOGETHER).sum(axis=-2) ** (1.0 / TOGETHER), np.float32)
+    together = (beyond[..., ~of_place, :] ** TOGETHER).sum(axis=-2)
+    together = together + beyond[..., of_place, :].max(axis=-2, initial=0.0) ** TOGETHER
+    return np.asarray(together ** (1.0 / TOGETHER), np.float32)

@@ -103,8 +103,8 @@ def level(sweep: Sweep, grid: BevGrid, before: SensorId = UNIDENTIFIED) -> Level
     the ground's below the sensor. Returns nearer than 0.5 m, farther than the sensor can see, or inside the box of
     a vehicle below the sensor (heights of 1.2 to 3 m) are left out, and so is clutter
     (:mod:`viewshed.preprocess.range_image`) where the rings are known or can be identified. Of a sensor that reports
-    several returns of a beam the farthest counts: the light went on past leaves, wires and rain. In a stream ``before`` is
-    what was identified of the sweep before: see :func:`identify_sensor`.
+    several returns of a beam the farthest counts: the light went on past leaves, wires and rain. In a stream
+    ``before`` is what was identified of the sweep before: see :func:`identify_sensor`.
 
     A scan in one plane sees no ground: that is taken to be flat, 0.3 m below the sensor where the height is not known,
     and each of its returns is an obstacle.

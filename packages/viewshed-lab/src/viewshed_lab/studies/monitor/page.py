@@ -15,7 +15,7 @@ from viewshed.arrays import F32, F64
 from viewshed.monitor.calibration import Calibration, changes_of
 from viewshed.monitor.evidence import EVIDENCE
 from viewshed.monitor.roc import auroc
-from viewshed.monitor.score import Past, numbers_of, sector_scores
+from viewshed.monitor.score import Past, numbers_of, of_place, sector_scores
 from viewshed.monitor.tails import peaks_of
 from viewshed_lab._page import facts, page
 from viewshed_lab.studies.monitor.plan import MonitorPlan
@@ -158,7 +158,7 @@ def _by_family(judged: Sequence[Judged]) -> dict[str, F32]:
 
 def _scores(surprises: F32) -> F32:
     """Return the scores (…) of surprises (…, E, SECTORS)."""
-    return np.asarray(sector_scores(surprises).max(axis=-1))
+    return np.asarray(sector_scores(surprises, of_place(EVIDENCE)).max(axis=-1))
 
 
 def _families(calibration: Calibration, judged: Sequence[Judged]) -> Table:

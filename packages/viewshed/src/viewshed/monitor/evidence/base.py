@@ -54,6 +54,8 @@ class Evidence:
         sentence: why one would worry, with places for ``{value}``, the number of its strongest sector, and
             ``{degrees}``, the middle of that sector's azimuth.
         two_sided: a smaller number than before is as suspicious as a larger one; else only a larger one is.
+        of_place: it changes as well where the sensor comes to another place, together with the others that do: all of
+            them count as one.
         version: raised by one when ``measure`` gives other numbers: monitors that were calibrated on those before are
             void then.
     """
@@ -63,6 +65,7 @@ class Evidence:
     grain: float
     sentence: str
     two_sided: bool = False
+    of_place: bool = False
     version: int = 1
 
     def reason(self, sectors: F32) -> str:

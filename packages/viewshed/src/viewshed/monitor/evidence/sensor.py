@@ -32,6 +32,9 @@ _GROUND_M = 0.3
 _CELLS, _CELL_M, _SHIFTS = 256, 0.25, 16
 """Cells in which sweeps are laid over each other, their size, and the largest shift in cells: 4 m."""
 
+_LEAST_CELLS, _MOST_ELSEWHERE = 20, 0.9
+"""A shift is known if it lays so many cells on each other, and none elsewhere more than this share of that."""
+
 
 def measure_sensor_height(monitored: MonitoredSweep) -> F32:
     """Return the height of the sensor above the ground in meters (SECTORS,), the same in all sectors."""
@@ -83,14 +86,15 @@ def measure_jump(monitored: MonitoredSweep) -> F32:
     """Return by how many meters the sensor moved otherwise than before (SECTORS,), by its own sweeps; all the same.
 
     Obstacle cells of the sweep are laid over those of the one before; the shift that fits best is compared with the
-    median of the shifts of the sweeps before, each over its time.
+    median of the shifts of the sweeps before, each over its time. Abstains where too few obstacles, or walls along
+    which they fit anywhere, show the shift.
     """
     every = (*monitored.earlier, monitored.leveled)
-    if len(every) < 4:
+    velocities = [_shift_m(a, b) / _gap_s(a, b) for a, b in pairwise(every)]
+    usual = [one for one in velocities[:-1] if np.isfinite(one).all()]
+    if len(usual) < 2:
         return ABSTAINS
-    velocity_mps, gap_s = np.stack([_shift_m(a, b) / _gap_s(a, b) for a, b in pairwise(every)]), _gap_s(*every[-2:])
-    usual = np.median(velocity_mps[:-1], axis=0)
-    return _everywhere(float(np.hypot(*((velocity_mps[-1] - usual) * gap_s))))
+    return _everywhere(float(np.hypot(*((velocities[-1] - np.median(usual, axis=0)) * _gap_s(*every[-2:])))))
 
 
 def _gap_s(before: LeveledSweep, after: LeveledSweep) -> float:
@@ -100,12 +104,16 @@ def _gap_s(before: LeveledSweep, after: LeveledSweep) -> float:
 
 
 def _shift_m(before: LeveledSweep, after: LeveledSweep) -> NDArray[np.float64]:
-    """Return the shift (2,) in meters, whole cells up to ``_SHIFTS``, that lays obstacle cells best on those before."""
+    """Return the shift (2,) in meters, up to ``_SHIFTS`` cells, that lays obstacle cells best on those before.
+
+    NaN where they do not show it.
+    """
     key = ("shift", ref(before))
     shift: NDArray[np.float64] | None = after.derived.get(key)
     if shift is None:
-        cells = _core.best_shift(_obstacles_of(after), _obstacles_of(before), _SHIFTS)
-        shift = after.derived[key] = np.array(cells, np.float64) * _CELL_M
+        *cells, matched, elsewhere = _core.best_shift(_obstacles_of(after), _obstacles_of(before), _SHIFTS)
+        is_known = matched >= _LEAST_CELLS and elsewhere <= _MOST_ELSEWHERE * matched
+        shift = after.derived[key] = np.array(cells, np.float64) * (_CELL_M if is_known else np.nan)
     return shift
 
 
