@@ -42,7 +42,7 @@ def test_noise_of_another_sensor_is_not_held_against_the_table() -> None:
     [
         ("isolated", 0.02, 0.002, 0.05, True),  # drizzle: far beyond what the share does by itself
         ("isolated", 0.10, 0.03, 0.14, False),  # leaves all along
-        ("isolated", 0.001, 0.0001, 0.008, False),  # so few that they hide nothing
+        ("isolated", 0.001, 0.0001, 0.0035, False),  # so few that they hide nothing
         ("returns", 20000.0, 300.0, 15500.0, True),
         ("returns", 20000.0, 3500.0, 15500.0, False),  # an open road and a street in turn
         ("range_noise", 0.01, 0.001, 0.04, True),

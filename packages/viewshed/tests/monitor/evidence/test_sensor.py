@@ -7,6 +7,7 @@ from tests.monitor.evidence.drives import YARD, look, measure
 from viewshed import _core
 from viewshed.monitor.evidence import EVIDENCE, SECTORS
 from viewshed.sweep import Sweep
+from viewshed_lab.sim import Box
 
 
 def _drive(rng: np.random.Generator | None = None) -> list[Sweep]:
@@ -22,6 +23,13 @@ def test_points_that_are_all_shifted_make_the_sensor_jump(axis: int) -> None:
     shift[axis] = 1.0
     shifted = sweeps[-1].replace(points=sweeps[-1].points + shift)
     assert measure("jump", *sweeps[:-1], shifted)[0] == pytest.approx(1.0, abs=0.3)
+
+
+def test_where_obstacles_do_not_show_the_shift_nothing_is_said_of_a_jump() -> None:
+    field, alley = (Box(30.0, 20.0, 0.5, 0.5, 2.0),), (Box(0.0, 6.0, 200.0, 1.0, 9.0), Box(0.0, -6.0, 200.0, 1.0, 9.0))
+    for world in ((), field, alley):
+        sweeps = [look(world, number, 1.0 * number).replace(world_from_sensor=None) for number in range(6)]
+        assert np.isnan(measure("jump", *sweeps)).all()
 
 
 def test_noise_is_measured_by_its_size() -> None:

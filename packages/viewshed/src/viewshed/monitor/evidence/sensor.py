@@ -32,8 +32,8 @@ _GROUND_M = 0.3
 _CELLS, _CELL_M, _SHIFTS = 256, 0.25, 16
 """Cells in which sweeps are laid over each other, their size, and the largest shift in cells: 4 m."""
 
-_LEAST_CELLS, _MOST_ELSEWHERE = 20, 0.9
-"""A shift is known if it lays so many cells on each other, and none elsewhere more than this share of that."""
+_LEAST_CELLS, _CLEARER_BY = 20, 3
+"""A shift is known if it lays so many cells on each other, and so many more than any shift elsewhere."""
 
 
 def measure_sensor_height(monitored: MonitoredSweep) -> F32:
@@ -112,7 +112,7 @@ def _shift_m(before: LeveledSweep, after: LeveledSweep) -> NDArray[np.float64]:
     shift: NDArray[np.float64] | None = after.derived.get(key)
     if shift is None:
         *cells, matched, elsewhere = _core.best_shift(_obstacles_of(after), _obstacles_of(before), _SHIFTS)
-        is_known = matched >= _LEAST_CELLS and elsewhere <= _MOST_ELSEWHERE * matched
+        is_known = matched >= _LEAST_CELLS and matched - elsewhere >= _CLEARER_BY
         shift = after.derived[key] = np.array(cells, np.float64) * (_CELL_M if is_known else np.nan)
     return shift
 
