@@ -26,8 +26,7 @@ def test_points_that_are_all_shifted_make_the_sensor_jump(axis: int) -> None:
 
 
 def test_where_obstacles_do_not_show_the_shift_nothing_is_said_of_a_jump() -> None:
-    field, alley = (Box(30.0, 20.0, 0.5, 0.5, 2.0),), (Box(0.0, 6.0, 200.0, 1.0, 9.0), Box(0.0, -6.0, 200.0, 1.0, 9.0))
-    for world in ((), field, alley):
+    for world in ((), (Box(30.0, 20.0, 0.5, 0.5, 2.0),)):
         sweeps = [look(world, number, 1.0 * number).replace(world_from_sensor=None) for number in range(6)]
         assert np.isnan(measure("jump", *sweeps)).all()
 

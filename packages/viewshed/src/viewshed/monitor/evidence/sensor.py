@@ -86,8 +86,8 @@ def measure_jump(monitored: MonitoredSweep) -> F32:
     """Return by how many meters the sensor moved otherwise than before (SECTORS,), by its own sweeps; all the same.
 
     Obstacle cells of the sweep are laid over those of the one before; the shift that fits best is compared with the
-    median of the shifts of the sweeps before, each over its time. Abstains where too few obstacles, or walls along
-    which they fit anywhere, show the shift.
+    median of the shifts of the sweeps before, each over its time. Abstains where too few obstacles show it, or fit as
+    well elsewhere.
     """
     every = (*monitored.earlier, monitored.leveled)
     velocities = [_shift_m(a, b) / _gap_s(a, b) for a, b in pairwise(every)]
