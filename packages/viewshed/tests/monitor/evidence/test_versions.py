@@ -25,7 +25,7 @@ NUMBERS: dict[str, tuple[int, float, float]] = {
     "no_return": (3, 0.0638889, 0.893333),
     "gone": (1, 0, 0),
     "out_of_nowhere": (2, 0.0203627, 0.597618),
-    "jump": (1, 0, 0),
+    "jump": (2, 0, 0),
     "sensor_height": (1, 1.84533, 1.84533),
     "returns": (1, 30504, 30504),
     "near_returns": (1, 0, 0),
