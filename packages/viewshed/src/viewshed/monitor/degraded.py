@@ -69,7 +69,7 @@ class SensorState:
         if now[1] > max(NOISIER * noisiest, LEAST_NOISE_M):
             reasons.append(f"ranges are {now[1] / max(past[1], 1e-6):.1f} times as noisy as before")
         if now[2] > past[2] + max(MORE_ISOLATED * (most - past[2]), LEAST_ISOLATED):
-            reasons.append(f"{now[2]:.0%} of the returns are isolated, {past[2]:.0%} were before")
+            reasons.append(f"{now[2]:.1%} of the returns are isolated, {past[2]:.1%} were before")
         return reasons
 
 
