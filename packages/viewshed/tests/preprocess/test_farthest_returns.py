@@ -42,7 +42,9 @@ def test_nearer_returns_and_repeated_ones_change_nothing(given: dict[str, None])
     sweep = STREET.replace(**given)
     once = visible(sweep)
     for several in (with_nearer_returns(sweep), sweep.select(np.repeat(np.arange(len(sweep)), 2))):
-        assert np.array_equal(level(several, GRID).sweep.points, sweep.points)
+        leveled = level(several, GRID)
+        assert np.array_equal(leveled.sweep.points, sweep.points)
+        assert leveled.delivered is several
         assert np.array_equal(visible(several), once)
 
 

@@ -161,7 +161,7 @@ class Center:
         """Return the last round that an answer ended, if it did."""
         if answer.leveled is None or answer.estimate is None or answer.objects is None:
             return None
-        return self.add(answer.leveled.sweep, answer.estimate, answer.objects)
+        return self.add(answer.leveled.delivered, answer.estimate, answer.objects)
 
     def add(self, sweep: Sweep, estimate: FovEstimate, objects: SeenObjects) -> Round | None:
         """Return the last round that a report ended, if it did; a pose is as certain as its sweep states."""

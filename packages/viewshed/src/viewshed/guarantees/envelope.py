@@ -294,8 +294,7 @@ class Envelope:
     @classmethod
     def of(cls, leveled: LeveledSweep, given: Given, grid: BevGrid, target: Target) -> Envelope:
         """Return the envelope of a sweep."""
-        sweep = leveled.sweep if leveled.every_return is None else leveled.every_return
-        return cls.within(grid, target, given.sent(grid, target), given.nearest_returns(sweep))
+        return cls.within(grid, target, given.sent(grid, target), given.nearest_returns(leveled.delivered))
 
     @classmethod
     def within(cls, grid: BevGrid, target: Target, sent: _core.SentBeams, nearest_m: F32) -> Envelope:

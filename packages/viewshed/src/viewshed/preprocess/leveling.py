@@ -70,6 +70,11 @@ class LeveledSweep:
     derived: dict[Hashable, Any] = field(default_factory=dict, init=False, repr=False)
 
     @property
+    def delivered(self) -> Sweep:
+        """The sweep as the sensor delivered it, with all returns of each beam."""
+        return self.sweep if self.every_return is None else self.every_return
+
+    @property
     def sensor_height_m(self) -> float:
         """Height of the sensor above the ground below it, in meters."""
         return float(self.level_from_sensor.translation[2])

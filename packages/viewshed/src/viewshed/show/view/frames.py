@@ -96,7 +96,7 @@ def pack_frame(frame: Frame) -> PackedFrame:
     arrays.append(_packed_points(points_cm))
     about = {
         **_about_estimate(frame.name, estimate),
-        "returns": 0 if frame.leveled is None else len(frame.leveled.sweep),
+        "returns": 0 if frame.leveled is None else len(frame.leveled.delivered),
         "points": len(points_cm),
         "deviation_top": top,
         **_about_report(report),
