@@ -34,7 +34,7 @@ def visible(sweep: Sweep) -> Mask:
 
 def rows_of(points: F32, ring: list[int] | None = None) -> list[int] | None:
     rows = _core.farthest_returns(np.asarray(points, np.float32), None if ring is None else np.array(ring, np.int16))
-    return None if rows is None else rows.tolist()
+    return None if rows is None else list(map(int, rows))
 
 
 @pytest.mark.parametrize("given", [{}, {"ring": None}, {"ring": None, "model": None}])

@@ -48,7 +48,7 @@ def test_a_stream_is_measured_attacked_judged_and_kept(tmp_path: Path) -> None:
     assert (kept.cases, kept.facts, kept.style) == (found.cases, found.facts, "parking")
     rng = np.random.default_rng(0)
     benign = [rng.exponential(1.0, (700, len(EVIDENCE), SECTORS)).astype(np.float32) for _ in range(2)]
-    made = Calibration.fit(benign, 10.0, places=("here", "there"))
+    made = Calibration.fit(benign, 10.0)
     judged = judge(made, kept)
     blinded = [judged.attacked[k] for k, (name, _) in enumerate(kept.cases) if name == "blinded"]
     returns = list(EVIDENCE).index("returns")

@@ -117,7 +117,7 @@ def level(sweep: Sweep, grid: BevGrid, before: SensorId = UNIDENTIFIED) -> Level
     if sweep.planar is not None:
         return _level_planar(sweep, grid)
     farthest = _core.farthest_returns(sweep.points, sweep.ring)
-    every_return, sweep = (None, sweep) if farthest is None else (sweep, sweep.select(farthest))
+    every_return, sweep = (None, sweep) if farthest is None else (sweep, sweep.select(farthest.astype(np.intp)))
     sensor_id = identify_sensor(sweep, before)
     pixels = pixels_of(sensor_id)
     attitude = sweep.known_attitude

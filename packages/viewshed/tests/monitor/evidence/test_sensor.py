@@ -67,9 +67,9 @@ def test_the_best_shift_is_that_of_the_circular_correlation(seed: int) -> None:
     now = np.roll(before, (3 - seed, -2), (0, 1)) ^ (rng.random((40, 40)) < 0.05)
     overlap = np.fft.irfft2(np.fft.rfft2(now) * np.conj(np.fft.rfft2(before)), (40, 40))
     about = np.round(np.roll(overlap, (6, 6), (0, 1))[:13, :13])
-    *shift, cells, elsewhere = _core.best_shift(now, before, 6)
-    down, across = np.array(divmod(int(about.argmax()), 13))
-    assert (*shift,) == (down - 6, across - 6) == (3 - seed, -2)
+    row, column, cells, elsewhere = _core.best_shift(now, before, 6)
+    down, across = divmod(int(about.argmax()), 13)
+    assert (row, column) == (down - 6, across - 6) == (3 - seed, -2)
     assert cells == about.max()
     about[max(down - 2, 0) : down + 3, max(across - 2, 0) : across + 3] = 0
     assert elsewhere == about.max()

@@ -111,9 +111,9 @@ def _shift_m(before: LeveledSweep, after: LeveledSweep) -> NDArray[np.float64]:
     key = ("shift", ref(before))
     shift: NDArray[np.float64] | None = after.derived.get(key)
     if shift is None:
-        *cells, matched, elsewhere = _core.best_shift(_obstacles_of(after), _obstacles_of(before), _SHIFTS)
-        is_known = matched >= _LEAST_CELLS and matched - elsewhere >= _CLEARER_BY
-        shift = after.derived[key] = np.array(cells, np.float64) * (_CELL_M if is_known else np.nan)
+        down, across, cells, elsewhere = _core.best_shift(_obstacles_of(after), _obstacles_of(before), _SHIFTS)
+        is_known = cells >= _LEAST_CELLS and cells - elsewhere >= _CLEARER_BY
+        shift = after.derived[key] = np.array([down, across], np.float64) * (_CELL_M if is_known else np.nan)
     return shift
 
 
