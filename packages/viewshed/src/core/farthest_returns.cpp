@@ -49,14 +49,14 @@ MULTIVERSION void find_directions(const float* __restrict xyz, std::size_t n, fl
     }
 }
 
-// What tells whether two returns are of one beam.
-struct Beams {
+// Returns by their directions, which tell whether two of them are of one beam.
+struct AimedReturns {
     const Directions& at;
     const std::int16_t* ring;  // null where they are not known
     Tolerance tolerance;
 
     bool counts(std::size_t k) const { return at.range_m[k] >= LEAST_M; }
-    bool are_one(std::size_t a, std::size_t b) const {
+    bool of_one_beam(std::size_t a, std::size_t b) const {
         const float nearer_m = std::min(at.range_m[a], at.range_m[b]);
         const float most = std::min(tolerance.angle + tolerance.grain_m / nearer_m, LARGEST_ANGLE);
         const float apart = std::fabs(at.azimuth[a] - at.azimuth[b]);
@@ -67,13 +67,13 @@ struct Beams {
 };
 
 // How many of some returns are of the beam of another.
-std::size_t count_shared(const Beams& beams, std::vector<std::uint32_t>& some) {
-    const Buffer<float>& azimuth = beams.at.azimuth;
+std::size_t count_shared(const AimedReturns& returns, std::vector<std::uint32_t>& some) {
+    const Buffer<float>& azimuth = returns.at.azimuth;
     std::sort(some.begin(), some.end(), [&](std::uint32_t a, std::uint32_t b) { return azimuth[a] < azimuth[b]; });
     std::size_t shared = 0;
     for (std::size_t i = 0; i < some.size(); ++i) {
         for (std::size_t j = i + 1; j < some.size() && azimuth[some[j]] - azimuth[some[i]] <= LARGEST_ANGLE; ++j) {
-            if (!beams.are_one(some[i], some[j])) continue;
+            if (!returns.of_one_beam(some[i], some[j])) continue;
             ++shared;
             break;
         }
@@ -82,21 +82,21 @@ std::size_t count_shared(const Beams& beams, std::vector<std::uint32_t>& some) {
 }
 
 // Whether the sensor reports several returns of a beam.
-bool has_several(const Beams& beams) {
-    const Buffer<float>& azimuth = beams.at.azimuth;
+bool has_several(const AimedReturns& returns) {
+    const Buffer<float>& azimuth = returns.at.azimuth;
     const std::size_t count = azimuth.size();
     const bool is_small = count <= FEW;
     constexpr int EVERY = SECTORS_OF_TURN / LOOKED_AT;
     std::array<std::vector<std::uint32_t>, LOOKED_AT> some;
     for (std::size_t k = 0; k < count; ++k) {
-        if (!beams.counts(k)) continue;
+        if (!returns.counts(k)) continue;
         const int sector = is_small ? EVERY / 2 : int((azimuth[k] + PI) * (float(SECTORS_OF_TURN) / (2.0f * PI)));
         if (sector % EVERY == EVERY / 2) some[std::size_t(sector / EVERY)].push_back(std::uint32_t(k));
     }
     std::size_t shared = 0, every = 0;
     int sectors = 0;
     for (auto& of_sector : some) {
-        const std::size_t here = count_shared(beams, of_sector);
+        const std::size_t here = count_shared(returns, of_sector);
         shared += here, every += of_sector.size(), sectors += here > 0;
     }
     return double(shared) > LEAST_SHARE * double(every) && sectors >= (is_small ? 1 : LEAST_SECTORS);
@@ -106,8 +106,8 @@ bool has_several(const Beams& beams) {
 // that those of a beam lie in one cell or in the one on the nearer side of it.
 class ByDirection {
 public:
-    ByDirection(const Beams& beams, std::size_t count)
-        : beams_(beams), first_(std::bit_ceil(2 * count), NONE), next_(count) {}
+    ByDirection(const AimedReturns& returns, std::size_t count)
+        : returns_(returns), first_(std::bit_ceil(2 * count), NONE), next_(count) {}
 
     void add(std::uint32_t k) {
         std::uint32_t& first = first_[slot_of(cell(column_of(k), COLUMNS), cell(row_of(k), 0))];
@@ -119,13 +119,13 @@ public:
     template <typename Body>
     void for_same_beam(std::uint32_t k, const Body& body) const {
         const float column = column_of(k), row = row_of(k);
-        const std::int32_t c = cell(column, COLUMNS), r = cell(row, 0), rows = beams_.ring ? 1 : 2;
+        const std::int32_t c = cell(column, COLUMNS), r = cell(row, 0), rows = returns_.ring ? 1 : 2;
         const std::int32_t column_cells[2] = {c, cell(column - float(c) < 0.5f ? column - 1.0f : column + 1.0f, COLUMNS)};
         const std::int32_t row_cells[2] = {r, row - float(r) < 0.5f ? r - 1 : r + 1};
         for (int i = 0; i < 2; ++i) {
             for (int j = 0; j < rows; ++j) {
                 for (std::uint32_t at = first_[slot_of(column_cells[i], row_cells[j])]; at != NONE; at = next_[at]) {
-                    if (beams_.are_one(k, at)) body(at);
+                    if (returns_.of_one_beam(k, at)) body(at);
                 }
             }
         }
@@ -136,9 +136,9 @@ private:
     static constexpr float CELL = 2.0f * LARGEST_ANGLE;
     static constexpr auto COLUMNS = std::int32_t(2.0f * PI / CELL);
 
-    float column_of(std::uint32_t k) const { return (beams_.at.azimuth[k] + PI) * (float(COLUMNS) / (2.0f * PI)); }
+    float column_of(std::uint32_t k) const { return (returns_.at.azimuth[k] + PI) * (float(COLUMNS) / (2.0f * PI)); }
     float row_of(std::uint32_t k) const {
-        return beams_.ring ? float(beams_.ring[k]) : (beams_.at.elevation[k] + PI) / CELL;
+        return returns_.ring ? float(returns_.ring[k]) : (returns_.at.elevation[k] + PI) / CELL;
     }
     // The cell of a place, around a turn of `turn` cells unless that is 0.
     static std::int32_t cell(float place, std::int32_t turn) {
@@ -150,7 +150,7 @@ private:
         return std::size_t(mixed >> 40) & (first_.size() - 1);
     }
 
-    Beams beams_;
+    AimedReturns returns_;
     std::vector<std::uint32_t> first_;
     Buffer<std::uint32_t> next_;
 };
@@ -162,14 +162,14 @@ std::optional<Buffer<std::int32_t>> farthest_returns(View2<const float> points, 
     // 1. Do beams have several returns?
     Directions at(count);
     find_directions(points.data, count, at.azimuth.data(), at.elevation.data(), at.range_m.data());
-    Beams beams{at, ring ? ring->data : nullptr, EXACT};
-    if (!has_several(beams)) return std::nullopt;
+    AimedReturns returns{at, ring ? ring->data : nullptr, EXACT};
+    if (!has_several(returns)) return std::nullopt;
     // 2. Of each beam the farthest, in the order of the rows.
-    beams.tolerance = USUAL;
-    ByDirection seen(beams, count);
+    returns.tolerance = USUAL;
+    ByDirection seen(returns, count);
     std::vector<char> kept(count, 1);
     for (std::uint32_t k = 0; k < count; ++k) {
-        if (!beams.counts(k)) continue;
+        if (!returns.counts(k)) continue;
         seen.for_same_beam(k, [&](std::uint32_t other) {
             if (kept[other]) kept[at.range_m[k] > at.range_m[other] ? other : k] = 0;
         });

@@ -68,6 +68,7 @@ def test_a_run_without_masks_is_a_run_with_dropout_off(shape: UNetShape) -> None
         # goes in a few cells differs between processors.
         if runner.card.precision == "int8" and shape.dropout:
             assert np.quantile(apart, 0.99) < 0.03
+            assert apart.max() < 0.1
         else:
             assert apart.max() < 5e-6
         dropped = runner.run(x[:1], shape.masks(8, np.random.default_rng(4)))

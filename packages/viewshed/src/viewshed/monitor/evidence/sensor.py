@@ -33,7 +33,7 @@ _CELLS, _CELL_M, _SHIFTS = 256, 0.25, 16
 """Cells in which sweeps are laid over each other, their size, and the largest shift in cells: 4 m."""
 
 _LEAST_CELLS, _CLEARER_BY = 20, 3
-"""A shift is known if it lays so many cells on each other, and so many more than any shift elsewhere."""
+"""A shift is known if it matches at least 20 cells, and 3 more than any shift that is not beside it."""
 
 
 def measure_sensor_height(monitored: MonitoredSweep) -> F32:
