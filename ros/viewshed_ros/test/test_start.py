@@ -41,7 +41,8 @@ def test_a_node_that_could_not_be_started_ends_by_a_signal(
         assert process.stderr is not None
         assert any(word in line for line in process.stderr)
         process.send_signal(number)
-        assert process.wait(20) == 0
+        said = process.stderr.read()
+        assert process.wait(20) == 0, said
 
 
 def test_a_signal_while_it_starts_ends_it() -> None:
@@ -50,3 +51,16 @@ def test_a_signal_while_it_starts_ends_it() -> None:
             time.sleep(0.3 + 0.3 * step)
             process.send_signal(signal.SIGTERM)
             process.wait(20)
+
+
+def test_a_signal_raises_nothing_where_python_just_is() -> None:
+    program = """
+import os, signal, time
+import rclpy
+from viewshed_ros.spinning import begin
+begin([])
+os.kill(os.getpid(), signal.SIGINT)
+while rclpy.ok():
+    time.sleep(.01)
+"""
+    subprocess.run([sys.executable, "-c", program], check=True, env=os.environ, timeout=20)

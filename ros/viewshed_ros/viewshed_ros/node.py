@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import sys
 import time
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -36,6 +35,7 @@ from viewshed_ros.object_layers import OBJECT_LAYERS, ObjectsView
 from viewshed_ros.outlets import FrameVote, Outlet, Sensor
 from viewshed_ros.packets import Revolution, Revolutions
 from viewshed_ros.parameters import OF_PROFILE, NodeSettings, SensorSettings
+from viewshed_ros.spinning import begin
 from viewshed_ros.stops import CHECK_S, LATCHED, MASK_STOPS, Stale, stale_alarm
 
 NO_EVENTS = PublisherEventCallbacks(use_default_callbacks=False)
@@ -545,7 +545,7 @@ class FieldOfView(LifecycleNode):
 def main(arguments: list[str] | None = None) -> None:
     """Run the node until a signal ends it; one that comes while it starts ends it as well."""
     prepare_process()
-    rclpy.init(args=arguments or sys.argv)
+    begin(arguments)
     node = None
     try:
         node = FieldOfView()
@@ -553,7 +553,7 @@ def main(arguments: list[str] | None = None) -> None:
         if is_wanted and node.trigger_configure() == TransitionCallbackReturn.SUCCESS:
             node.trigger_activate()
         rclpy.spin(node)
-    except (KeyboardInterrupt, ExternalShutdownException):
+    except ExternalShutdownException:
         pass
     except Exception:
         # A signal shuts the context down at once; whatever is made after that fails, each thing in its own words.

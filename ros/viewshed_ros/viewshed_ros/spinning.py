@@ -1,7 +1,8 @@
-"""Running a node without a lifecycle."""
+"""Running nodes until a signal ends them."""
 
 from __future__ import annotations
 
+import signal
 import sys
 from collections.abc import Callable
 
@@ -10,12 +11,30 @@ from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 
 
-def spin(make: Callable[[], Node], arguments: list[str] | None = None) -> None:
-    """Make a node and run it until a signal ends it."""
+def begin(arguments: list[str] | None = None) -> None:
+    """Initialize rclpy so that SIGINT, like SIGTERM, shuts its context down and raises nothing.
+
+    Python would raise `KeyboardInterrupt` wherever the main thread is: in a half-made object, or in the handling of
+    what fails because the context is down.
+    """
+    ending = {signal.SIGINT, signal.SIGTERM}
+    # A signal that comes before rclpy has its handlers waits for them.
+    signal.pthread_sigmask(signal.SIG_BLOCK, ending)
+    signal.signal(signal.SIGINT, lambda number, frame: None)  # rclpy calls the handler that it finds, then shuts down
     rclpy.init(args=arguments or sys.argv)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, ending)
+
+
+def spin(make: Callable[[], Node], arguments: list[str] | None = None) -> None:
+    """Make a node and run it until a signal ends it; one that comes while it starts ends it as well."""
+    begin(arguments)
     try:
         rclpy.spin(make())
-    except (KeyboardInterrupt, ExternalShutdownException):
+    except ExternalShutdownException:
         pass
+    except Exception:
+        # A signal shuts the context down at once; whatever is made after that fails, each thing in its own words.
+        if rclpy.ok():
+            raise
     finally:
         rclpy.try_shutdown()
