@@ -387,12 +387,14 @@ def _with_bars(run: Callable[[Progress], Iterator[str]]) -> list[str]:
     from viewshed.cli._outputs import progress_bar
 
     tasks: dict[str, TaskID] = {}
+    fiftieths: dict[str, int] = {}
     bars = progress_bar(TimeElapsedColumn(), TimeRemainingColumn())
 
     def on_progress(step: str, done: int, total: int) -> None:
         if not bars.console.is_terminal:
             # A log gets a line for every fiftieth of the jobs.
-            if done == total or done * 50 // total > (done - 1) * 50 // total:
+            if (now := done * 50 // total) > fiftieths.get(step, 0):
+                fiftieths[step] = now
                 typer.echo(f"{step}: {done} of {total}", err=True)
             return
         if not tasks:

@@ -94,7 +94,9 @@ def _pair(job: Job[PaperPlan]) -> JobResult:
         name: network_of(job.plan, job.folder, job.plan.model(protocol, name), setting, job.device)
     } if name != CLASSICAL else {name: make(setting.grid) for name, make in setting.classical().items()}  # fmt: skip
     numbers = job.plan.parts(domain, job.plan.is_mcd(name))[int(part)]
-    return JobResult(pair_rows(job.plan, job.folder, setting, setting.suite(estimators), numbers))
+    begun_s = time.perf_counter()
+    rows = pair_rows(job.plan, job.folder, setting, setting.suite(estimators), numbers)
+    return JobResult(rows, {"seconds": time.perf_counter() - begun_s})
 
 
 def pair_rows(
