@@ -93,7 +93,7 @@ def test_the_study_runs_resumes_and_writes_its_page(tmp_path: Path) -> None:
 
 
 def _center_judges_as_the_study(store: ResultStore[AgentsPlan]) -> None:
-    """A live center with the study's model gives the study's answers for the same messages."""
+    """A live center with the study's model accuses whom the study accuses, by the same messages."""
     found = AgentsResults(PLAN, store.results("run"))
     scene = Scene.load(scene_path(store.folder, "test", 0))
     honest = HonestModel.from_json((store.folder / HONEST_MODEL).read_text("utf-8"))
@@ -103,7 +103,8 @@ def _center_judges_as_the_study(store: ResultStore[AgentsPlan]) -> None:
         center.add(t_s, scene.reports(time)).verdicts.answers for time, t_s in enumerate(scene.times_s.tolist())
     ])  # fmt: skip
     assert live == pytest.approx(np.array(benign.answers), abs=0.02)
-    assert found.limits.accused(live.max(axis=0), found.elevated, found.rate).tolist() == found.accused(benign).tolist()
+    assert (live[-1] >= live.max(axis=0)).all()
+    assert found.limits.accused(live[-1], found.elevated, found.rate).tolist() == found.accused(benign).tolist()
 
 
 def test_poses_that_are_off_are_off_by_what_is_stated(scene: Scene) -> None:

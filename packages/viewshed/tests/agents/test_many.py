@@ -9,9 +9,18 @@ import numpy as np
 import pytest
 
 from viewshed.agents.honest import honest_model
-from viewshed.agents.many import AgentReport, CommandCenter, CommonPicture, chances, confirmed, joint_fov, match_agents
+from viewshed.agents.many import (
+    LOOK_S,
+    AgentReport,
+    CommandCenter,
+    CommonPicture,
+    chances,
+    confirmed,
+    joint_fov,
+    match_agents,
+)
 from viewshed.agents.rounds import Round
-from viewshed.agents.trust import QUESTIONS
+from viewshed.agents.trust import QUESTIONS, SCENE_S
 from viewshed.agents.view_message import MAX_DETECTIONS, SensorFacts, ViewMessage
 from viewshed.detections import Detections
 from viewshed.fov.estimate import Basis, CellState, FovEstimate
@@ -85,11 +94,14 @@ def test_who_withholds_what_it_had_reported_is_told_by_how_long() -> None:
     """All report both cars; then c leaves one out for some looks, of which the first may be its detector's miss."""
     honest = [report(agent, CARS) for agent in AGENTS]
     without = [*honest[:2], report(AGENTS[2], CARS[:1], standing=CARS)]
-    evidence = withheld([honest] * 5 + [without] * 6 + [honest])
+    evidence = withheld([honest] * 5 + [without] * 6 + [honest] * 13)
     assert (evidence[:, :2] < 0.0).all()
     assert (np.diff(evidence[4:9, 2]) > -0.2).all()
     assert evidence[10, 2] > evidence[5, 2] + 0.5
-    assert evidence[-1, 2] < 0.0
+    # What spoke against it counts for as long as the scenes of the limits last.
+    looks = round(SCENE_S / LOOK_S)
+    assert evidence[10 + looks - 1, 2] > 0.0
+    assert evidence[10 + looks, 2] < 0.0
     # Where its view shows that the place is empty now, it says less.
     gone = withheld([honest] * 5 + [[*honest[:2], report(AGENTS[2], CARS[:1])]] * 6)
     assert gone[-1, 2] < evidence[10, 2]

@@ -60,6 +60,9 @@ sees through; evidence that it withholds objects that it had reported."""
 TOGETHER = 1.5
 """Exponent of the norm that puts answers together."""
 
+SCENE_S = 6.0
+"""Length of the benign scenes of the limits: an agent is judged by the most that speaks against it in such a time."""
+
 USUAL, LEAST_SPREAD = 0.9, 0.1
 """Share of honest agents whose answers are usual, and nats by which the others go beyond on average at least."""
 
@@ -157,7 +160,7 @@ class Verdicts:
     existence: F64  # (J,) probability that each exists, whoever lies
     suspects: Mask  # (A,) bool, those who lie under the best explanations (within one nat), the ones with fewest liars
     against: F64  # (A, A) nats that comparisons of two views speak against both, and on the diagonal that one's own do
-    answers: F64  # (A, 5) what speaks against each by ``QUESTIONS``: nats, of the last one looks
+    answers: F64  # (A, 5) most that spoke against each in the last ``SCENE_S``, by ``QUESTIONS``: nats
 
 
 _AT_ONCE = np.array([name in ("opened", "closed") for name in OWN])
@@ -180,6 +183,7 @@ class Trust:
     _of_objects: dict[int, F64] = field(default_factory=dict, repr=False)
     _pairs: F64 = field(init=False, repr=False)
     _own: F64 = field(init=False, repr=False)
+    _answers: list[tuple[float, F64]] = field(default_factory=list, repr=False)  # ages, and answers so old
 
     def __post_init__(self) -> None:
         if self.agents < 1:
@@ -224,6 +228,8 @@ class Trust:
         # The last row and column are those of who comes.
         self._pairs = np.pad(self._pairs, ((0, 1), (0, 1), (0, 0)))[np.ix_(kept, kept)]
         self._own = np.pad(self._own, ((0, 1), (0, 0)))[list(kept)]
+        unasked = np.full((1, len(QUESTIONS)), -np.inf)
+        self._answers = [(age_s, np.vstack([answers, unasked])[list(kept)]) for age_s, answers in self._answers]
 
     def add(
         self, reports: Reports, seconds: float, views: tuple[F64, F64] | None = None, withheld: F64 | None = None
@@ -265,6 +271,7 @@ class Trust:
             steady = self._own + part * (own - self._own)
             at_once = np.maximum(fade * self._own, np.where(np.isfinite(views[1]), views[1], 0.0))
             self._own = np.where(_AT_ONCE, at_once, steady)
+        self._answers = [(age_s + seconds, said) for age_s, said in self._answers if age_s + seconds < SCENE_S]
         return self._verdicts(reports, np.zeros(self.agents) if withheld is None else withheld)
 
     def _likelihoods(self, reports: Reports) -> F64:
@@ -364,6 +371,7 @@ class Trust:
             self._evidence(logs - of_views), np.maximum(opened - closed, 0.0), self._own[:, OWN.index("misplaced")],
             self._pairs[..., PAIR.index("through")].sum(axis=1) / others, withheld,
         ])  # fmt: skip
+        self._answers.append((0.0, answers))
         liars = self._lies.sum(axis=1)
         prior = liars * np.log(self.rules.prior) + (self.agents - liars) * np.log1p(-self.rules.prior)
         posterior = prior + logs / self.rules.temper
@@ -378,7 +386,7 @@ class Trust:
         existence = 1.0 / (1.0 + np.exp(-odds)) @ posterior
         return Verdicts(
             self._evidence(logs), float(logs.max() - logs[0]), 1.0 - posterior @ self._lies, reports.ids, existence,
-            self._lies[best].any(axis=0), against, answers,
+            self._lies[best].any(axis=0), against, np.max([said for _, said in self._answers], axis=0),
         )  # fmt: skip
 
     def _evidence(self, logs: F64) -> F64:
