@@ -395,10 +395,11 @@ class TrustLimits:
     """Accuses agents at a stated rate, calibrated on benign scenes.
 
     Answers to all ``QUESTIONS`` are put on one scale by those of honest agents, low or elevated, of benign scenes. The
-    unit is the scene: whoever is accused must stand higher on that scale than anybody of nearly all benign scenes does
-    on the scale of the others (a jackknife: one scene moves the scale hardly). If the scene at hand
-    is one like those (exchangeable), somebody is accused in at most the stated share of benign scenes, however the
-    agents of one scene depend on each other.
+    unit is the scene, for the shipped limits 6 s of five agents, so that a drive of ten minutes is about 100 of them:
+    whoever is accused must stand higher on that scale than anybody of nearly all benign scenes does on the scale of
+    the others (a jackknife: one scene moves the scale hardly). If the scene at hand is one like those (exchangeable),
+    somebody is accused in at most the stated share of benign scenes, however the agents of one scene depend on each
+    other.
     """
 
     usual: F64  # (2, 5) nine in ten answers are smaller, by whether the sensor is elevated and by question
