@@ -80,6 +80,26 @@ def test_deviations_of_poses_that_are_none_are_refused(drive: Path, tmp_path: Pa
         assert f"--pose-std must be METERS,DEGREES, both 0 or more, got '{wrong}'; as 0.2,0.5" in err
 
 
+def posed_file(path: Path, agent: str, x_m: float) -> Path:
+    """Write the sample as a sweep of an agent that stands at x."""
+    sweep = read_sweep(junction_path()).replace(agent=agent, t_ns=0, world_from_sensor=Rigid(np.eye(3), (x_m, 0, 2)))
+    write_sweep(sweep, path)
+    return path
+
+
+def test_an_agent_that_nobody_can_contradict_is_noted_once(tmp_path: Path) -> None:
+    one, other = (posed_file(tmp_path / f"{name}.npz", name, x_m) for name, x_m in (("car", 0.0), ("mast", 500.0)))
+    words = ("--results", "jsonl", "--out", tmp_path / "fused")
+    for files, note in (
+        ((one,), "car alone is heard: nobody contradicts it"),
+        ((one, other), "car0, mast1: farther than 100 m from all others, so that nobody contradicts it"),
+    ):
+        code, _, err = run("fuse", *files, *words)
+        assert (code, err) == (0, f"viewshed: note: {note}\n")
+        [row] = map(json.loads, (tmp_path / "fused" / "fused.jsonl").read_text().splitlines())
+        assert row["notes"] == [note]
+
+
 @pytest.mark.parametrize("deviation", [None, 0.5])
 def test_a_center_takes_a_pose_to_be_as_certain_as_its_sweep_states(
     deviation: float | None, monkeypatch: pytest.MonkeyPatch

@@ -444,14 +444,18 @@ class TrustLimits:
         """The smallest rate that the number of scenes supports."""
         return 1.0 / (len(self.score) + 1.0)
 
+    def beyond(self, answers: F64, elevated: Mask) -> F64:
+        """Return by how much the answers (A, 5) of each agent are beyond the usual ones of its kind, on one scale."""
+        kind = elevated.astype(np.intp)
+        return np.asarray((answers - self.usual[kind]) / self.spread[kind])
+
     def scores(self, answers: F64, elevated: Mask) -> F64:
         """Return the norm (A,) of what the answers (A, 5) of each agent are beyond the usual ones of its kind.
 
         The norm of the exponent ``TOGETHER`` is more than the largest and less than the sum: liars are often unusual in
         several answers, honest agents at times. Where all answers are usual it is the one nearest to that, below 0.
         """
-        kind = elevated.astype(np.intp)
-        beyond = (answers - self.usual[kind]) / self.spread[kind]
+        beyond = self.beyond(answers, elevated)
         norm = (np.maximum(beyond, 0.0) ** TOGETHER).sum(axis=1) ** (1.0 / TOGETHER)
         return np.asarray(norm + np.minimum(beyond.max(axis=1), 0.0))
 

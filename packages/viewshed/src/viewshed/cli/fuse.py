@@ -77,6 +77,7 @@ def fuse(
             failures.report(f"{t_s:.2f} s", ValueError("no report of this time could be put together with others"))
             continue
         typer.echo(line_of(one))
+        note_gaps(one, done[-1] if done else None)
         done.append(one)
         if {"png", "html"} & set(kinds):
             pictures.append(fused_picture(one))
@@ -148,12 +149,21 @@ def report_of(sweep: Sweep, estimator: Estimator, detector: Detector, pose_std: 
     return AgentReport.of(estimate, detector.detect(leveled), pose_std or PoseStd.stated_by(sweep), leveled.ground)
 
 
+def note_gaps(done: Round, before: Round | None) -> None:
+    """Say why nobody can contradict an agent, where that was not so in the round before."""
+    known = [] if before is None else before.gaps()
+    for line in done.gaps():
+        if line not in known:
+            note(line)
+
+
 def line_of(done: Round) -> str:
-    """Return a round in a line: objects, who is accused of lies, and who is disputed."""
+    """Return a round in a line: objects, who is accused of lies and why, and who is disputed."""
     picture = done.picture
+    accused = [f"{agent} ({why})" for agent, why in done.reasons().items()]
+    disputed = [agent for agent, flag in zip(picture.agents, done.disputed, strict=True) if flag]
     verdicts = "".join(
-        f"; {word} {', '.join(agent for agent, flag in zip(picture.agents, flags, strict=True) if flag)}"
-        for word, flags in (("ACCUSED", done.accused), ("disputed", done.disputed)) if flags.any()
-    )  # fmt: skip
+        f"; {word} {', '.join(agents)}" for word, agents in (("ACCUSED", accused), ("disputed", disputed)) if agents
+    )
     objects = f"{picture.believed.sum()} of {len(picture.tracks)} objects believed"
     return f"{picture.t_s:.2f} s: {objects}{verdicts}"
