@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from viewshed.agents import cbor
 from viewshed.agents.fov_code import decode_fov, encode_fov, has_std
 from viewshed.arrays import F64
-from viewshed.detections import Detections, ObjectKind
+from viewshed.detections import Detections
 from viewshed.fov.estimate import FovEstimate
 from viewshed.fov.height_map import HeightMap
 from viewshed.fov.visibility import Target
@@ -52,8 +52,6 @@ FIELDS = (
 _NAME = re.compile(r"[A-Za-z0-9_.\-]{1,32}")
 
 _GROUND_STEPS_PER_M, _MOST_STEPS = 100.0, 2**15 - 1
-
-_LAST_KIND = int(max(ObjectKind))
 
 _UPPER6 = np.triu_indices(6)
 
@@ -277,10 +275,10 @@ def _ground_of(fields: list[Any]) -> HeightMap:
 
 def _detections_of(fields: list[Any]) -> Detections:
     boxes, kinds, returns = _columns(fields, (np.float32, np.uint8, np.int32))
-    if len(kinds) > MAX_DETECTIONS or (len(kinds) and kinds.max() > _LAST_KIND):
-        raise ValueError(f"a message must have at most {MAX_DETECTIONS} detections, of known kinds")
+    if len(kinds) > MAX_DETECTIONS:
+        raise ValueError(f"a message must have at most {MAX_DETECTIONS} detections, got {len(kinds)}")
     if len(boxes) != 7 * len(kinds):
-        raise ValueError("columns of detections must all be of as many objects")
+        raise ValueError(f"a message must have 7 numbers for each box, got {len(boxes)} for {len(kinds)} objects")
     return Detections(boxes.reshape(-1, 7).astype(np.float64), kinds, returns)
 
 
