@@ -43,7 +43,9 @@ class Detections:
         kinds = np.where((kinds >= 0) & (kinds < len(ObjectKind)), kinds, ObjectKind.OTHER)
         wrong = ~((returns >= 0) & (returns <= np.iinfo(np.int32).max))
         if wrong.any():
-            raise ValueError(f"returns must be counts of 0 or more, got {returns[wrong][0]}; give 0 where none is known")
+            raise ValueError(
+                f"returns must be counts of 0 or more, got {returns[wrong][0]}; give 0 where none is known"
+            )
         for name, values, kind in (
             ("boxes", self.boxes, np.float64), ("kinds", kinds, np.uint8), ("returns", returns, np.int32)
         ):  # fmt: skip
@@ -58,7 +60,9 @@ class Detections:
             )
         bad = np.flatnonzero(~np.isfinite(self.boxes).all(axis=1) | (self.boxes[:, 3:6] <= 0).any(axis=1))
         if len(bad):
-            numbers = ", ".join(f"{name} {value:g}" for name, value in zip(BOX_COLUMNS, self.boxes[bad[0]], strict=True))
+            numbers = ", ".join(
+                f"{name} {value:g}" for name, value in zip(BOX_COLUMNS, self.boxes[bad[0]], strict=True)
+            )
             raise ValueError(f"boxes must be finite and have positive sizes, got box {bad[0]}: {numbers}; leave it out")
 
     def __len__(self) -> int:

@@ -4,18 +4,21 @@ from __future__ import annotations
 
 import json
 import re
+import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from PIL import Image
 from tests.cli.commands import run
 
-from viewshed import BevGrid, load_estimator, open_recording, read_sweep, write_sweep
+from viewshed import BevGrid, Sweep, load_estimator, open_recording, read_sweep, write_sweep
 from viewshed.agents.registration import UNSTATED, PoseStd
 from viewshed.agents.report import AgentReport
 from viewshed.agents.rounds import Round, Rounds
 from viewshed.cli._record import Center
+from viewshed.cli.fuse import report_of
 from viewshed.estimators import Estimator
 from viewshed.estimators.shadow_map import ShadowMap
 from viewshed.estimators.temporal import SweepBuffer, TemporalEstimator
@@ -82,7 +85,9 @@ def test_deviations_of_poses_that_are_none_are_refused(drive: Path, tmp_path: Pa
 
 def posed_file(path: Path, agent: str, x_m: float) -> Path:
     """Write the sample as a sweep of an agent that stands at x."""
-    sweep = read_sweep(junction_path()).replace(agent=agent, t_ns=0, world_from_sensor=Rigid(np.eye(3), (x_m, 0, 2)))
+    sweep = read_sweep(junction_path()).replace(
+        agent=agent, t_ns=0, world_from_sensor=Rigid.from_yaw(0.0, (x_m, 0.0, 2.0))
+    )
     write_sweep(sweep, path)
     return path
 
@@ -98,6 +103,20 @@ def test_an_agent_that_nobody_can_contradict_is_noted_once(tmp_path: Path) -> No
         assert (code, err) == (0, f"viewshed: note: {note}\n")
         [row] = map(json.loads, (tmp_path / "fused" / "fused.jsonl").read_text().splitlines())
         assert row["notes"] == [note]
+
+
+def test_a_sweep_that_cannot_be_taken_costs_no_other(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def of_one(sweep: Sweep, *others: Any) -> AgentReport:
+        if sweep.agent == "car0":
+            raise ValueError("points must be in meters")
+        return report_of(sweep, *others)
+
+    monkeypatch.setattr(sys.modules["viewshed.cli.fuse"], "report_of", of_one)
+    files = [posed_file(tmp_path / f"{name}.npz", name, 0.0) for name in ("car", "mast")]
+    code, out, err = run("fuse", *files, "--results", "jsonl", "--out", tmp_path / "fused")
+    assert code == 2
+    assert "viewshed: car0, 0.00 s: points must be in meters\n" in err
+    assert out.endswith(f"1 times → {tmp_path / 'fused'}\n")
 
 
 @pytest.mark.parametrize("deviation", [None, 0.5])

@@ -16,7 +16,7 @@ from viewshed.cli._outputs import Failures, Named, make_folder, output_names, pa
 from viewshed.cli._places import chosen_files
 from viewshed.cli._profile import Method
 from viewshed.cli._stream import named_sweeps
-from viewshed.cli._terminal import note
+from viewshed.cli._terminal import BAD_INPUTS, note
 from viewshed.cli.estimate import Files
 
 if TYPE_CHECKING:
@@ -69,7 +69,12 @@ def fuse(
     done, pictures = list[Round](), list[bytes]()
     streams = [named_sweeps(reading, [job], [name], failures) for job, name in zip(jobs, names, strict=True)]
     for t_s, sweeps in rounds(streams, slop, failures):
-        reports = [report_of(sweep, estimator, detector, std) for sweep in sweeps]
+        reports = []
+        for sweep in sweeps:
+            try:
+                reports.append(report_of(sweep, estimator, detector, std))
+            except BAD_INPUTS as error:  # one sweep costs no other
+                failures.report(f"{sweep.agent}, {t_s:.2f} s", error)
         one = gathered.together(t_s, reports)
         for line in gathered.notes:
             note(line)
