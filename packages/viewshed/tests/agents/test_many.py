@@ -272,6 +272,7 @@ def test_no_report_is_an_answer_too() -> None:
     pictures = follow(CommandCenter(NAMES), [[], [report(AGENTS[0], CARS)], [], []])
     assert [len(picture.tracks) > 0 for picture in pictures][:2] == [False, True]
     assert not pictures[-1].reporters.any()
+    assert not any(picture.notes for picture in pictures)
 
 
 def test_as_many_objects_as_a_message_holds_take_a_bounded_time() -> None:

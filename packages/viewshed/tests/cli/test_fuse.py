@@ -18,7 +18,7 @@ from viewshed.agents.registration import UNSTATED, PoseStd
 from viewshed.agents.report import AgentReport
 from viewshed.agents.rounds import Round, Rounds
 from viewshed.cli._record import Center
-from viewshed.cli.fuse import report_of
+from viewshed.cli.fuse import parse_pose_std, report_of
 from viewshed.estimators import Estimator
 from viewshed.estimators.shadow_map import ShadowMap
 from viewshed.estimators.temporal import SweepBuffer, TemporalEstimator
@@ -117,6 +117,14 @@ def test_a_sweep_that_cannot_be_taken_costs_no_other(tmp_path: Path, monkeypatch
     assert code == 2
     assert "viewshed: car0, 0.00 s: points must be in meters\n" in err
     assert out.endswith(f"1 times → {tmp_path / 'fused'}\n")
+
+
+def test_deviations_of_poses_that_are_larger_than_what_counts_are_noted(capsys: pytest.CaptureFixture[str]) -> None:
+    assert parse_pose_std("5,20") == PoseStd(5.0, np.radians(20.0))
+    note = "viewshed: note: --pose-std 5,20: larger deviations than 0.25 m and 0.6° count as these\n"
+    assert capsys.readouterr().err == note
+    parse_pose_std("0.25,0.6")
+    assert capsys.readouterr().err == ""
 
 
 @pytest.mark.parametrize("deviation", [None, 0.5])

@@ -41,7 +41,7 @@ def fuse(
     ] = 0.1,
     pose_std: Annotated[
         str | None,
-        typer.Option(help="Standard deviation of poses: METERS,DEGREES, as 0.2,0.5; if not given, as sweeps state."),
+        typer.Option(help="Standard deviation of poses: METERS,DEGREES up to 0.25,0.6; if not given, as sweeps state."),
     ] = None,
     results: Annotated[str, typer.Option(help="What is written: some of jsonl,png,html.")] = "jsonl,png,html",
     out: Annotated[Path, typer.Option(help="Folder of the results.")] = Path("fused"),
@@ -128,17 +128,20 @@ def _with_times(stream: Iterator[Named], number: int, failures: Failures) -> Ite
 
 def parse_pose_std(words: str | None) -> PoseStd | None:
     """Return the standard deviations in METERS,DEGREES; None where they are not given."""
-    from math import radians
+    from math import degrees, radians
 
-    from viewshed.agents.registration import PoseStd
+    from viewshed.agents.registration import MOST_M, MOST_TURN, PoseStd
 
     if words is None:
         return None
     try:
         place_m, yaw_deg = (float(part) for part in words.split(","))
-        return PoseStd(place_m, radians(yaw_deg))
+        std = PoseStd(place_m, radians(yaw_deg))
     except ValueError as error:
         raise ValueError(f"--pose-std must be METERS,DEGREES, both 0 or more, got {words!r}; as 0.2,0.5") from error
+    if std.bounded != std:
+        note(f"--pose-std {words}: larger deviations than {MOST_M:g} m and {degrees(MOST_TURN):g}° count as these")
+    return std
 
 
 def report_of(sweep: Sweep, estimator: Estimator, detector: Detector, pose_std: PoseStd | None = None) -> AgentReport:
