@@ -63,11 +63,12 @@ def claimed_free(claims: AgentReport, other: AgentReport) -> F64:
     """Return where in the world (K, 2) surfaces of another agent stand that one claims free, on the same ground."""
     own = surface_cells(other.estimate, NEAREST_M, FARTHEST_M)
     pose = other.world_from_level
-    world = own @ pose.rotation[:2, :2].T + pose.translation[:2]
+    world: F64 = own @ pose.rotation[:2, :2].T + pose.translation[:2]
     level = claims.in_level(world)
     cells, inside = claims.estimate.grid.index(level)
     is_free = inside & (claims.estimate.state[cells[:, 0], cells[:, 1]] == CellState.FREE)
-    return world[is_free & (np.abs(claims.ground_m(level) - other.ground_m(own)) < SAME_GROUND_M)]
+    seen: F64 = world[is_free & (np.abs(claims.ground_m(level) - other.ground_m(own)) < SAME_GROUND_M)]
+    return seen
 
 
 def contradictions(done: Round) -> list[tuple[int, int, str]]:
@@ -124,8 +125,8 @@ def fused_picture(done: Round) -> bytes:
             for x, y in pixels(claimed_free(claims, other)):
                 area.rectangle((x - 1.5, y - 1.5, x + 1.5, y + 1.5), DISTRUSTED)
     # 3. Who contradicts whom.
-    for first, second, _ in pairs:
-        ends = [places.get(picture.agents[number]) for number in (first, second)]
+    for one, partner, _ in pairs:
+        ends = [places.get(picture.agents[each]) for each in (one, partner)]
         if ends[0] is not None and ends[1] is not None:
             area.polygon(pixels(np.stack([ends[0], ends[1]])), DISTRUSTED, grow=1.2)
     # 4. Objects: the outline of each box that somebody reports or that is believed.
