@@ -18,15 +18,15 @@ def test_rows_that_are_not_finite_go_with_their_columns() -> None:
 @pytest.mark.parametrize(
     ("covariance", "message"),
     [
-        (np.eye(3), r"pose_covariance must be \(6, 6\) finite numbers, got shape \(3, 3\)"),
-        (np.full((6, 6), np.nan), "must be .* finite numbers"),
-        (np.diag([1.0, 1.0, -1.0, 0.0, 0.0, 0.0]), "no negative variance, got -1"),
-        (np.triu(np.ones((6, 6))), "pose_covariance must be symmetric"),
+        (np.eye(3), r"pose_covariance of car must be \(6, 6\) finite numbers, got shape \(3, 3\)"),
+        (np.full((6, 6), np.nan), "must be .* finite numbers, got nan"),
+        (np.diag([1.0, 1.0, -1.0, 0.0, 0.0, 0.0]), "pose_covariance of car must have no negative eigenvalue, got -1"),
+        (np.triu(np.ones((6, 6))), "pose_covariance of car must be symmetric, got numbers 1 apart"),
     ],
 )
 def test_a_covariance_that_is_none_is_refused(covariance: Any, message: str) -> None:
     with pytest.raises(ValueError, match=message):
-        Sweep(np.ones((1, 3), np.float32), pose_covariance=covariance)
+        Sweep(np.ones((1, 3), np.float32), agent="car", pose_covariance=covariance)
 
 
 def test_a_sweep_is_read_only_and_its_source_stays_writable() -> None:

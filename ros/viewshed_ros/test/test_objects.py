@@ -196,6 +196,15 @@ def test_a_forged_message_is_refused_and_counted(graph: Graph) -> None:
     graph.until(lambda: graph.reported("nothing is known of now"))
 
 
+def test_a_message_without_a_view_is_noted(graph: Graph) -> None:
+    graph.sequence += 1
+    message = ViewMessage(
+        "mast", graph.sequence, time.time_ns(), "map", Rigid.identity(), POSE_COVARIANCE, SensorFacts("x")
+    )
+    graph.views.publish(UInt8MultiArray(data=array("B", sign_message(message, MAST))))
+    graph.until(lambda: graph.reported("mast: sends no field of view, which a center needs"))
+
+
 def test_clouds_are_forged_from_the_start_on(graph: Graph) -> None:
     def is_forged(message: PointCloud2) -> bool:
         assert message.header.frame_id == "lidar"

@@ -15,7 +15,7 @@ from visualization_msgs.msg import MarkerArray
 from viewshed.agents.legend import tracks_of_center
 from viewshed.agents.many import AgentReport
 from viewshed.agents.receiver import Receiver
-from viewshed.agents.rounds import HEARD_S, Round, Rounds
+from viewshed.agents.rounds import HEARD_S, NO_OBJECTS, Round, Rounds
 from viewshed.agents.signing import KeyRing, read_verifying_keys
 from viewshed.io.export.ros import visibility_layer
 from viewshed_ros import parameters
@@ -80,6 +80,8 @@ class CenterNode(Node):
             self.get_logger().warning(f"refused: {receipt.agent} {reason} {receipt.detail}", throttle_duration_sec=5.0)
             return
         if received.view is None:
+            line = f"{received.agent}: sends no field of view, which a center needs; its report is left out"
+            self._note([] if line in self._notes else [line])
             return
         try:
             self._publish_all(self._rounds.add(1e-9 * received.t_ns, AgentReport.of_message(received), 1e-9 * now_ns))
@@ -133,7 +135,8 @@ class CenterNode(Node):
             return status
         silent_s = 1e-9 * (self.get_clock().now().nanoseconds - self._done_ns)
         sentences = self._done.sentences()
-        status.level = DiagnosticStatus.WARN if sentences else DiagnosticStatus.OK
+        # A place without objects is no fault.
+        status.level = DiagnosticStatus.WARN if set(sentences) - {NO_OBJECTS} else DiagnosticStatus.OK
         if silent_s > HEARD_S:
             sentences.insert(0, f"no round for {silent_s:.1f} s: nothing is known of now")
             status.level = DiagnosticStatus.STALE

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -90,6 +91,14 @@ def test_the_study_runs_resumes_and_writes_its_page(tmp_path: Path) -> None:
     page = files_of(store)["agents.md"].decode()
     for heading in ("Against the targets", "Where nobody lies", "Found", "Reliability of trust"):
         assert f"## {heading}" in page
+    assert f"| scenes reported on | ≥ 1000 | {PLAN.test} | missed |" in page
+    agents = PLAN.moving + PLAN.roadside
+    assert re.search(rf"\| a round of {agents} agents \| ≤ 8 \| \d+, (met|missed) \| \d+ \|", page)
+    found = AgentsResults(PLAN, store.results("run"))
+    [lied] = found.of("fabricate", counting=False)
+    over = replace(lied, case="over_claim", touched=[1.0] * len(lied.touched), trust=[[0.2] * agents] * len(lied.trust))
+    found.__dict__["test"] = [*found.test, over]
+    assert ["over-claimers trusted less than .5", "–", "1.000", ""] in found.target_table().rows
 
 
 def _center_judges_as_the_study(store: ResultStore[AgentsPlan]) -> None:

@@ -44,3 +44,5 @@ def test_the_page_has_a_table_for_each_case(monkeypatch: pytest.MonkeyPatch) -> 
     text = cases_page(3, said.append)
     assert said == list(CASES)
     assert text.count("| 1 | 3 |") == len(CASES) == 4
+    assert f"\n- seconds: {'; '.join(f'{title} 0' for title in CASES)}\n" in text
+    assert all("The publication reports no figures" in about for _, about in list(CASES.values())[1:])

@@ -30,7 +30,7 @@ class Detections:
     """The objects that a detector found in one sweep, in one frame (``level`` of the sweep, unless stated otherwise).
 
     Raises:
-        ValueError: the lengths differ, a number is not finite, or a size is not positive.
+        ValueError: the lengths differ, a number is not finite, a size is not positive, or a count is negative.
     """
 
     boxes: NDArray[np.float64]  # (K, 7) float64, columns ``BOX_COLUMNS``
@@ -38,10 +38,18 @@ class Detections:
     returns: NDArray[np.int32]  # (K,) int32 returns in each box; 0 where that is not known
 
     def __post_init__(self) -> None:
-        for name, kind in (("boxes", np.float64), ("kinds", np.uint8), ("returns", np.int32)):
-            array: NDArray[Any] = np.array(getattr(self, name), kind)
-            if name == "kinds":
-                array[array >= len(ObjectKind)] = ObjectKind.OTHER
+        kinds, returns = np.asarray(self.kinds), np.asarray(self.returns)
+        # Before the cast, which would wrap: what is out of range, or NaN, is OTHER.
+        kinds = np.where((kinds >= 0) & (kinds < len(ObjectKind)), kinds, ObjectKind.OTHER)
+        wrong = ~((returns >= 0) & (returns <= np.iinfo(np.int32).max))
+        if wrong.any():
+            raise ValueError(
+                f"returns must be counts of 0 or more, got {returns[wrong][0]}; give 0 where none is known"
+            )
+        for name, values, kind in (
+            ("boxes", self.boxes, np.float64), ("kinds", kinds, np.uint8), ("returns", returns, np.int32)
+        ):  # fmt: skip
+            array: NDArray[Any] = np.array(values, kind)
             array.setflags(write=False)
             object.__setattr__(self, name, array)
         count = len(self.boxes)
@@ -50,8 +58,12 @@ class Detections:
                 "detections must be boxes (K, 7), kinds (K,) and returns (K,), got"
                 f" {self.boxes.shape}, {self.kinds.shape} and {self.returns.shape}"
             )
-        if not np.isfinite(self.boxes).all() or (self.boxes[:, 3:6] <= 0).any():
-            raise ValueError("boxes must be finite and have positive sizes; leave out those that are not")
+        bad = np.flatnonzero(~np.isfinite(self.boxes).all(axis=1) | (self.boxes[:, 3:6] <= 0).any(axis=1))
+        if len(bad):
+            numbers = ", ".join(
+                f"{name} {value:g}" for name, value in zip(BOX_COLUMNS, self.boxes[bad[0]], strict=True)
+            )
+            raise ValueError(f"boxes must be finite and have positive sizes, got box {bad[0]}: {numbers}; leave it out")
 
     def __len__(self) -> int:
         """Return the number of objects."""

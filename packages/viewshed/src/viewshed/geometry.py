@@ -22,6 +22,32 @@ _SAME = np.eye(3)
 _UNEVEN = 1e-3 + 1e-5 * _SAME
 
 
+def pose_covariance_of(values: ArrayLike, name: str) -> NDArray[np.float64]:
+    """Return the covariance (6, 6) of a pose, of x, y, z in meters and of turns about them in radians, checked.
+
+    Covariances are rounded to float32: an eigenvalue below zero by no more than 1e-5 of the trace is none.
+
+    Raises:
+        ValueError: it is not finite, not symmetric, or has a negative eigenvalue; ``name`` says whose it is.
+    """
+    covariance = np.array(values, np.float64)
+    if covariance.shape != (6, 6) or not np.isfinite(covariance).all():
+        raise ValueError(f"{name} must be (6, 6) finite numbers, got {_first_odd(covariance)}; give none if unknown")
+    slack = 1e-5 * float(np.abs(np.diag(covariance)).sum()) + 1e-9
+    uneven = float(np.abs(covariance - covariance.T).max())
+    if uneven > slack:
+        raise ValueError(f"{name} must be symmetric, got numbers {uneven:g} apart; give the upper triangle twice")
+    least = float(np.linalg.eigvalsh((covariance + covariance.T) / 2.0)[0])
+    if not least >= -slack:
+        raise ValueError(f"{name} must have no negative eigenvalue, got {least:g}; give m² and rad², 0 if exact")
+    return covariance
+
+
+def _first_odd(covariance: NDArray[np.float64]) -> str:
+    odd = covariance[~np.isfinite(covariance)]
+    return f"{odd[0]}" if covariance.shape == (6, 6) else f"shape {covariance.shape}"
+
+
 def rotation_from_quaternion(quaternion_wxyz: ArrayLike) -> NDArray[np.float64]:
     """Return the (3, 3) rotation matrix of a unit quaternion (w, x, y, z), Hamilton convention.
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from viewshed import _core
-from viewshed.geometry import Rigid, attitude_of, rotation_from_quaternion
+from viewshed.geometry import Rigid, attitude_of, pose_covariance_of, rotation_from_quaternion
 from viewshed.sensors import LidarModel, lidar_model
 
 
@@ -175,14 +175,7 @@ class Sweep:
     def _check_covariance(self) -> None:
         if self.pose_covariance is None:
             return
-        covariance = np.array(self.pose_covariance, np.float64)
-        if covariance.shape != (6, 6) or not np.isfinite(covariance).all():
-            raise ValueError(f"pose_covariance must be (6, 6) finite numbers, got shape {covariance.shape}")
-        least = float(np.linalg.eigvalsh((covariance + covariance.T) / 2.0)[0])
-        if not np.allclose(covariance, covariance.T, atol=1e-9) or least < -1e-9:
-            raise ValueError(
-                f"pose_covariance must be symmetric with no negative variance, got {least:g}; give m² and rad²"
-            )
+        covariance = pose_covariance_of(self.pose_covariance, f"pose_covariance of {self.agent}")
         _set(self, "pose_covariance", _frozen(covariance))
 
     def __len__(self) -> int:

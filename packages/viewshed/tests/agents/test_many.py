@@ -19,9 +19,10 @@ from viewshed.agents.many import (
     joint_fov,
     match_agents,
 )
-from viewshed.agents.rounds import Round
+from viewshed.agents.rounds import NO_OBJECTS, Round
 from viewshed.agents.trust import QUESTIONS, SCENE_S
 from viewshed.agents.view_message import MAX_DETECTIONS, SensorFacts, ViewMessage
+from viewshed.cli.fuse import note_gaps
 from viewshed.detections import Detections
 from viewshed.fov.estimate import Basis, CellState, FovEstimate
 from viewshed.geometry import Rigid
@@ -283,6 +284,7 @@ def test_no_report_is_an_answer_too() -> None:
     pictures = follow(CommandCenter(NAMES), [[], [report(AGENTS[0], CARS)], [], []])
     assert [len(picture.tracks) > 0 for picture in pictures][:2] == [False, True]
     assert not pictures[-1].reporters.any()
+    assert not any(picture.notes for picture in pictures)
 
 
 def test_as_many_objects_as_a_message_holds_take_a_bounded_time() -> None:
@@ -311,7 +313,7 @@ def odd(kind: str) -> tuple[list[AgentReport], str]:
         case "a class that nobody knows":
             said[0] = replace(said[0], detections=replace(said[0].detections, kinds=np.full(len(CARS), 200, np.uint8)))
         case "views without objects":
-            said = [report(agent, CARS[:0]) for agent in AGENTS]
+            said, apart = [report(agent, CARS[:0]) for agent in AGENTS], NO_OBJECTS
         case "one agent only" | "a center of one agent":
             said, apart = said[:1], "a alone is heard: nobody contradicts it"
         case "agents that never overlap":
@@ -321,11 +323,14 @@ def odd(kind: str) -> tuple[list[AgentReport], str]:
 
 
 @pytest.mark.parametrize("kind", ODD)
-def test_what_is_odd_is_noted_and_nobody_is_accused(kind: str) -> None:
+def test_what_is_odd_is_noted_once_and_nobody_is_accused(kind: str, capsys: pytest.CaptureFixture[str]) -> None:
     said, note = odd(kind)
     center = CommandCenter(NAMES[:1] if kind == "a center of one agent" else NAMES)
     done = [Round.of(picture) for picture in follow(center, [said] * 8)]
     assert not any((each.accused | each.disputed).any() for each in done)
-    assert done[-1].sentences() == ([note] if note else [])
+    assert done[-1].sentences() == done[-1].numbers()["notes"] == ([note] if note else [])
+    note_gaps(done[-2], None)
+    note_gaps(done[-1], done[-2])
+    assert capsys.readouterr().err == (f"viewshed: note: {note}\n" if note else "")
     cars = {"views without objects": 0, "agents that never overlap": 6}
     assert done[-1].picture.believed.sum() == cars.get(kind, 2)

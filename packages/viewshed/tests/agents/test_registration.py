@@ -60,10 +60,16 @@ def test_the_deviations_of_a_covariance_are_those_of_place_and_heading() -> None
     assert (std.place_m, std.yaw) == pytest.approx((0.2, 0.01))
     with pytest.raises(ValueError, match="finite and not negative"):
         PoseStd(-1.0, 0.0)
-    with pytest.raises(ValueError, match="must be finite"):
+    with pytest.raises(ValueError, match="finite numbers, got nan"):
         PoseStd.of(np.diag([0.04, np.nan, 9.0, 9.0, 9.0, 1e-4]))
     with pytest.raises(ValueError, match=r"must have no negative eigenvalue, got -0\.04"):
         PoseStd.of(np.diag([-0.04, 0.01, 9.0, 9.0, 9.0, 1e-4]))
+
+
+def test_what_a_sweep_takes_for_a_covariance_has_deviations() -> None:
+    rounded = np.diag([1e-6, 0.0, -5e-10, 0.0, 0.0, 0.0])
+    stated = PoseStd.stated_by(Sweep(np.ones((1, 3), np.float32), pose_covariance=rounded))
+    assert stated.place_m == pytest.approx(1e-3)
 
 
 def test_reports_keep_all_but_their_poses() -> None:

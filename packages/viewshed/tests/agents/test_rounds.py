@@ -12,7 +12,9 @@ from tests.agents.test_many import AGENTS, CARS, report, view
 
 from viewshed.agents.many import AgentReport
 from viewshed.agents.registration import PoseStd
-from viewshed.agents.rounds import Round, Rounds
+from viewshed.agents.rounds import WHY, Round, Rounds
+from viewshed.agents.trust import QUESTIONS, trust_limits
+from viewshed.cli.fuse import line_of
 from viewshed.geometry import Rigid
 
 BEGIN_S, HZ = 1.76e9, 2.0
@@ -75,10 +77,17 @@ def test_who_contradicts_two_others_is_told() -> None:
     assert last.picture.verdicts.evidence.argmax() == 2
     told = replace(last, accused=np.array([False, False, True]), disputed=np.array([True, True, False]))
     assert told.sentences() == [
-        "c contradicts the others: its reports count little",
+        "c is accused: its reports contradict the others; it counts little",
         "a, b: one of them lies, and no third view says which",
     ]  # fmt: skip
     assert told.numbers()["agents"]["c"]["accused"]
+    assert told.numbers()["notes"] == told.sentences()
+    assert line_of(told).endswith("ACCUSED c (its reports contradict the others); disputed a, b")
+    for question, name in enumerate(QUESTIONS):  # what is highest beyond usual, not what has most nats
+        answers = np.array(trust_limits().usual[told.picture.elevated.astype(int)])
+        answers[2, question] += 5.0 * trust_limits().spread[0, question]
+        verdicts = replace(told.picture.verdicts, answers=answers)
+        assert replace(told, picture=replace(told.picture, verdicts=verdicts)).reasons() == {"c": WHY[name]}
     joint = told.joint
     assert joint.agents == ("a", "b", "c")
     assert joint.seen_by.max() in {2, 3}

@@ -13,7 +13,7 @@ from tests.agents import message_samples as samples
 
 from viewshed.agents import cbor
 from viewshed.agents.view_message import FIELDS, MAX_BYTES, MAX_DETECTIONS, SensorFacts, decode_message, encode_message
-from viewshed.detections import Detections
+from viewshed.detections import Detections, ObjectKind
 
 ROOT = Path(__file__).resolve().parents[4]
 
@@ -123,8 +123,8 @@ BAD: dict[str, tuple[Callable[[], bytes], str]] = {
     "pose": (lambda: bad({5: []}), "types of its schema"),
     "pose of another type": (lambda: changed(5, 0, 0, np.nan), "must be finite"),
     "no rotation": (lambda: changed(5, 0, 3, 7.0), "norm 1"),
-    "NaN covariance": (lambda: changed(5, 1, 0, np.nan), "pose_covariance must be finite"),
-    "negative variance": (lambda: changed(5, 1, 0, -1.0), "pose_covariance must have no negative eigenvalue"),
+    "NaN covariance": (lambda: changed(5, 1, 0, np.nan), "of car1 must be .* finite numbers, got nan"),
+    "negative variance": (lambda: changed(5, 1, 0, -1.0), "must have no negative eigenvalue"),
     "sensor": (lambda: bad({6: ["", 1.0, 1.0]}), "name of a sensor"),
     "whole height": (lambda: bad({6: ["a", 1, 1.0]}), "must have a float"),
     "two facts": (lambda: bad({6: ["a", 1.0]}), "not enough values"),
@@ -141,8 +141,8 @@ BAD: dict[str, tuple[Callable[[], bytes], str]] = {
     "ground of nothing": (lambda: bad({8: [float("nan"), bytes(2048)]}), "half_extent_m must be positive"),
     "ground text": (lambda: bad({8: [16.0, "a"]}), "must have bytes here"),
     "detections": (lambda: changed(9, 0, 3, -1.0), "positive sizes"),
-    "kinds of detections": (lambda: changed(9, 1, 0, 9), "of known kinds"),
-    "uneven detections": (lambda: bad({9: [FOUND[0][:-1], *FOUND[1:]]}), "must all be of as many objects"),
+    "returns of detections": (lambda: changed(9, 2, 0, -1), "returns must be counts of 0 or more, got -1"),
+    "uneven detections": (lambda: bad({9: [FOUND[0][:-1], *FOUND[1:]]}), "7 numbers for each box"),
     "report": (lambda: bad({10: ["a", 1.0, 1.0, 2.0, False, 1.0, bytes(9)]}), "p_value must lie in"),
     "report without sectors": (lambda: bad({10: ["a", 1.0, 1.0, 1.0, False, 1.0, b""]}), "must have 72 sectors, got 0"),
     "another field": (lambda: bad({11: 1}), r"keys of a payload must lie in \[0, 10\], got 11"),
@@ -159,11 +159,17 @@ def test_what_a_message_must_not_say_is_refused(name: str) -> None:
         decode_message(payload)
 
 
+def test_a_class_that_nobody_knows_costs_no_view() -> None:
+    found = decode_message(changed(9, 1, 0, 9))
+    assert found.view is not None
+    assert found.detections.kinds.tolist()[:2] == [ObjectKind.OTHER, samples.message().detections.kinds[1]]
+
+
 def test_ten_thousand_detections_are_refused_before_they_are_looked_at() -> None:
     boxes, kinds, returns = cbor.loads(encode_message(samples.message()))[9]
     with pytest.raises(ValueError, match="at most 49152 bytes"):
         decode_message(bad({9: [each.repeat(5000) for each in (boxes, kinds, returns)]}))
-    with pytest.raises(ValueError, match="at most 512 detections"):
+    with pytest.raises(ValueError, match="at most 512 detections, got 600"):
         decode_message(bad({9: [each.repeat(300) for each in (boxes, kinds, returns)]}))
     found = samples.message().detections.take(np.zeros(MAX_DETECTIONS + 1, np.intp))
     with pytest.raises(ValueError, match="at most 512 detections, got 513"):
@@ -173,11 +179,11 @@ def test_ten_thousand_detections_are_refused_before_they_are_looked_at() -> None
 def test_values_are_checked_when_a_message_is_made() -> None:
     with pytest.raises(ValueError, match="agent must be 1 to 32 letters"):
         samples.message(agent="a/b")
-    with pytest.raises(ValueError, match=r"shape \(6, 6\), got \(3, 3\)"):
+    with pytest.raises(ValueError, match=r"\(6, 6\) finite numbers, got shape \(3, 3\)"):
         samples.message(pose_covariance=np.eye(3))
     uneven = np.eye(6)
     uneven[0, 1] = 0.5
-    with pytest.raises(ValueError, match="pose_covariance must be symmetric"):
+    with pytest.raises(ValueError, match="must be symmetric"):
         samples.message(pose_covariance=uneven)
     with pytest.raises(ValueError, match="must be finite or NaN"):
         SensorFacts("a", height_m=float("inf"))

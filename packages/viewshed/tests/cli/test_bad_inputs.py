@@ -104,6 +104,7 @@ REFUSED = {
     f"export {GOOD} --crs EPSG:77 --origin 0,0,0": "crs must be a known",
     f"export {GOOD} --crs EPSG:4326 --origin 0,0,0": "projected",
     f"export {GOOD} --to nav2_mask --crs EPSG:25832": "crs goes with",
+    f"export {GOOD} --to cpm_uper": "a CPM must have a time, a pose and its crs, got no crs; give --poses and --crs",
     f"export {GOOD} --crs EPSG:25832 --origin 1e20,1e20,0": "lies outside of EPSG:25832",
     f"info {GOOD} --origin 1,2": "origin must be 3 numbers with commas, got 2 in '1,2'",
     # Where results go.

@@ -15,9 +15,11 @@ import pytest
 from tests.cli.commands import run
 
 import viewshed
-from viewshed import BevGrid, read_sweep
+from viewshed import BevGrid, read_sweep, write_sweep
 from viewshed.cli._outputs import output_names
+from viewshed.geometry import Rigid
 from viewshed.io.export import read_npz
+from viewshed.io.messages.cpm import decode_cpm
 from viewshed.io.samples import junction_path
 
 
@@ -112,6 +114,21 @@ def test_export_from_a_sweep_and_from_an_estimate_agree(name: str, tmp_path: Pat
         done = run("export", source, "--to", name, "--out", tmp_path / out)
         assert done.returncode == 0, done.stderr
     assert (tmp_path / "a.out").read_bytes() == (tmp_path / "b.out").read_bytes()
+
+
+def test_export_writes_a_message_in_the_standards_bytes(tmp_path: Path) -> None:
+    pytest.importorskip("rasterio", reason="rasterio is not installed: no place on earth")
+    pose = Rigid.from_yaw(0.4, (566_000.0, 5_930_000.0, 12.0))
+    sweep = read_sweep(junction_path()).replace(t_ns=1_167_609_600_000_000_000, world_from_sensor=pose)
+    write_sweep(sweep, tmp_path / "placed.npz")
+    words = ("--to", "cpm_uper", "--crs", "EPSG:25832", "--out", tmp_path / "sent.cpm.uper")
+    done = run("export", tmp_path / "placed.npz", *words)
+    assert (done.returncode, done.stderr) == (0, "")
+    message = decode_cpm((tmp_path / "sent.cpm.uper").read_bytes())
+    assert message["payload"]["managementContainer"]["referencePosition"]["latitude"] == pytest.approx(
+        535148e3, rel=1e-5
+    )
+    assert message["payload"]["cpmContainers"][1]["perceptionRegionContainer"]
 
 
 def _write(path: Path, points: list[list[float]]) -> Path:

@@ -4,18 +4,21 @@ from __future__ import annotations
 
 import json
 import re
+import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from PIL import Image
 from tests.cli.commands import run
 
-from viewshed import BevGrid, load_estimator, open_recording, read_sweep, write_sweep
+from viewshed import BevGrid, Sweep, load_estimator, open_recording, read_sweep, write_sweep
 from viewshed.agents.registration import UNSTATED, PoseStd
 from viewshed.agents.report import AgentReport
 from viewshed.agents.rounds import Round, Rounds
 from viewshed.cli._record import Center
+from viewshed.cli.fuse import parse_pose_std, report_of
 from viewshed.estimators import Estimator
 from viewshed.estimators.shadow_map import ShadowMap
 from viewshed.estimators.temporal import SweepBuffer, TemporalEstimator
@@ -78,6 +81,50 @@ def test_deviations_of_poses_that_are_none_are_refused(drive: Path, tmp_path: Pa
         code, _, err = run(*words, "--pose-std", wrong)
         assert code == 2
         assert f"--pose-std must be METERS,DEGREES, both 0 or more, got '{wrong}'; as 0.2,0.5" in err
+
+
+def posed_file(path: Path, agent: str, x_m: float) -> Path:
+    """Write the sample as a sweep of an agent that stands at x."""
+    sweep = read_sweep(junction_path()).replace(
+        agent=agent, t_ns=0, world_from_sensor=Rigid.from_yaw(0.0, (x_m, 0.0, 2.0))
+    )
+    write_sweep(sweep, path)
+    return path
+
+
+def test_an_agent_that_nobody_can_contradict_is_noted_once(tmp_path: Path) -> None:
+    one, other = (posed_file(tmp_path / f"{name}.npz", name, x_m) for name, x_m in (("car", 0.0), ("mast", 500.0)))
+    words = ("--results", "jsonl", "--out", tmp_path / "fused")
+    for files, note in (
+        ((one,), "car alone is heard: nobody contradicts it"),
+        ((one, other), "car0, mast1: farther than 100 m from all others, so that nobody contradicts it"),
+    ):
+        code, _, err = run("fuse", *files, *words)
+        assert (code, err) == (0, f"viewshed: note: {note}\n")
+        [row] = map(json.loads, (tmp_path / "fused" / "fused.jsonl").read_text().splitlines())
+        assert row["notes"] == [note]
+
+
+def test_a_sweep_that_cannot_be_taken_costs_no_other(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def of_one(sweep: Sweep, *others: Any) -> AgentReport:
+        if sweep.agent == "car0":
+            raise ValueError("points must be in meters")
+        return report_of(sweep, *others)
+
+    monkeypatch.setattr(sys.modules["viewshed.cli.fuse"], "report_of", of_one)
+    files = [posed_file(tmp_path / f"{name}.npz", name, 0.0) for name in ("car", "mast")]
+    code, out, err = run("fuse", *files, "--results", "jsonl", "--out", tmp_path / "fused")
+    assert code == 2
+    assert "viewshed: car0, 0.00 s: points must be in meters\n" in err
+    assert out.endswith(f"1 times → {tmp_path / 'fused'}\n")
+
+
+def test_deviations_of_poses_that_are_larger_than_what_counts_are_noted(capsys: pytest.CaptureFixture[str]) -> None:
+    assert parse_pose_std("5,20") == PoseStd(5.0, np.radians(20.0))
+    note = "viewshed: note: --pose-std 5,20: larger deviations than 0.25 m and 0.6° count as these\n"
+    assert capsys.readouterr().err == note
+    parse_pose_std("0.25,0.6")
+    assert capsys.readouterr().err == ""
 
 
 @pytest.mark.parametrize("deviation", [None, 0.5])

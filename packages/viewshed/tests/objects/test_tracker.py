@@ -183,13 +183,23 @@ def test_too_many_detections_are_refused_and_the_tracks_go_on() -> None:
     assert _drive(tracker, 3, start=6).ids.tolist() == [0]
 
 
+def test_odds_of_false_detections_that_nobody_gives_are_noted_once() -> None:
+    tracker = Tracker()
+    said = [tracker.step(0.1 * k, cars(*places), SeesAll(0.1 * k)).notes for k, places in enumerate(
+        ((), ((5.0, 0.0),), ((5.0, 0.0),))
+    )]  # fmt: skip
+    note = "false detections are not known for this view: 0.1 for one of an object taken; give false_odds"
+    assert said == [(), (note,), ()]
+    assert not Tracker().step(0.0, cars((5.0, 0.0)), SeesAll(0.0), false_odds=np.array([0.1])).notes
+
+
 def test_boxes_that_are_too_long_are_left_out_and_counted() -> None:
     found = cars((5.0, 0.0), (40.0, 0.0), (60.0, 0.0))
     boxes = found.boxes.copy()
     boxes[0, 3] = 100.0
     tracker = Tracker()
     tracks = tracker.step(0.0, replace(found, boxes=boxes), SeesAll(0.0))
-    assert tracks.notes == ("1 of 3 boxes left out: longer than 30 m",)
+    assert tracks.notes[-1] == "1 of 3 boxes left out: longer than 30 m"
     assert sorted(tracks.detection.tolist()) == [1, 2]  # their numbers in what was given
 
 

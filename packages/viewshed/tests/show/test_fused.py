@@ -3,13 +3,23 @@
 from __future__ import annotations
 
 import io
+from dataclasses import replace
 
 import numpy as np
 from PIL import Image
 from tests.agents.test_many import AGENTS, CARS, report
 
 from viewshed.agents.rounds import Round, Rounds
-from viewshed.show.fused import DISTRUSTED, TRUSTED, contradictions, fused_page, fused_picture
+from viewshed.show.fused import (
+    CONTRADICTION_NATS,
+    DISTRUSTED,
+    TRUSTED,
+    agent_color,
+    claimed_free,
+    contradictions,
+    fused_page,
+    fused_picture,
+)
 
 GHOST = np.array([[6.0, -6.0, 0.8, 4.2, 1.8, 1.5, 0.0], [14.0, -12.0, 0.8, 4.2, 1.8, 1.5, 0.0]])
 
@@ -44,6 +54,26 @@ def test_a_picture_shows_who_is_believed_and_who_is_not() -> None:
     assert none == 0
     assert trusted > 200
     assert distrusted > 100  # its disc, its objects, and two lines
+
+
+def test_surfaces_that_another_agent_claims_free_are_where_they_stand() -> None:
+    sees, denies = report(AGENTS[0], CARS), report(AGENTS[1], CARS, standing=CARS[:0])
+    places = claimed_free(denies, sees)
+    assert len(places) > 3
+    assert np.linalg.norm(places[:, None] - CARS[None, :, :2], axis=2).min(axis=1).max() < 3.0
+    assert not len(claimed_free(sees, denies))
+
+
+def test_a_picture_has_outlines_of_views_and_dots_where_they_contradict_each_other() -> None:
+    said = [report(AGENTS[0], CARS), report(AGENTS[1], CARS, standing=CARS[:0])]
+    done = Rounds().together(0.0, said)
+    verdicts = replace(done.picture.verdicts, against=np.full((2, 2), 2.0 * CONTRADICTION_NATS))
+    contradicting = replace(done, picture=replace(done.picture, verdicts=verdicts))
+    seen, dotted = (np.asarray(Image.open(io.BytesIO(fused_picture(one))))[50:] for one in (done, contradicting))
+    for number in range(2):
+        assert (seen[:, :740] == np.array(agent_color(number, 2))).all(axis=-1).sum() > 500
+    red, dots = ((each[:, :740] == np.array(DISTRUSTED)).all(axis=-1).sum() for each in (seen, dotted))
+    assert (red, dots > 50) == (0, True)
 
 
 def test_a_page_holds_each_time_and_the_trust_in_each_agent() -> None:

@@ -66,6 +66,9 @@ LEAST_TRUST = 0.05
 LOOK_S = 0.5
 """The view of each agent is compared with the others' once in this time; reports within it are one look."""
 
+FALSE_ODDS = 0.1
+"""False joint detections for one of an object."""
+
 BELIEVED = 0.5
 """Probability of existence, whoever lies, from which a track is believed."""
 
@@ -101,9 +104,9 @@ class JointView:
         """Return ones (K,): what a claim is worth holds the detector already."""
         return np.ones(len(boxes))
 
-    def false_odds(self, boxes: F64, kinds: NDArray[np.uint8]) -> F64 | None:
-        """Return None: a joint detection is of several agents."""
-        return None
+    def false_odds(self, boxes: F64, kinds: NDArray[np.uint8]) -> F64:
+        """Return the same odds (K,) for all boxes: a joint detection is of several agents."""
+        return np.full(len(boxes), FALSE_ODDS)
 
     def hides_near(self, boxes: F64, within_m: F64) -> F64:
         """Return the greatest probability (K,) of not being seen within (K,) meters of each box."""

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from viewshed import _core
 from viewshed.arrays import F64
 from viewshed.fov.estimate import FovEstimate
-from viewshed.geometry import Rigid
+from viewshed.geometry import Rigid, pose_covariance_of
 from viewshed.sweep import Sweep
 
 MOST_M, MOST_TURN = 0.25, float(np.radians(0.6))
@@ -53,9 +53,6 @@ _CELL_M, _CELLS = 0.25, 1024
 
 _BITS = 32
 
-# Covariances are rounded to float32: an eigenvalue below zero by no more than this share of the trace is none.
-_ROUNDING = 1e-5
-
 
 @dataclass(frozen=True, slots=True)
 class PoseStd:
@@ -77,15 +74,9 @@ class PoseStd:
         """Return those of a covariance (6, 6) of x, y, z, roll, pitch and yaw: the larger one of both axes.
 
         Raises:
-            ValueError: a number is not finite, or a variance is negative.
+            ValueError: it is no covariance; see :func:`viewshed.geometry.pose_covariance_of`.
         """
-        if not np.isfinite(covariance).all():
-            raise ValueError("the covariance of a pose must be finite, got others; leave out what is not known")
-        least, slack = float(np.linalg.eigvalsh(covariance)[0]), _ROUNDING * float(np.abs(np.diag(covariance)).sum())
-        if least < -slack:
-            raise ValueError(
-                f"the covariance of a pose must have no negative eigenvalue, got {least:g}; write 0 where it is exact"
-            )
+        covariance = pose_covariance_of(covariance, "the covariance of a pose")
         place_m2 = float(np.linalg.eigvalsh(covariance[:2, :2])[-1])
         return cls(max(place_m2, 0.0) ** 0.5, max(float(covariance[5, 5]), 0.0) ** 0.5)
 

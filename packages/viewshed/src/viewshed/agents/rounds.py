@@ -58,6 +58,18 @@ MOST_OPEN = 64
 MOST_CELLS = 512
 """Cells along a side of a joint field of view."""
 
+WHY = {
+    "reports": "its reports contradict the others",
+    "opened": "its view opened at once",
+    "misplaced": "its surfaces do not lie on those of others",
+    "through": "it sees through surfaces of others",
+    "withheld": "it no longer reports what it had reported",
+}
+"""What an accusation says, by the question of :data:`QUESTIONS` that speaks most against an agent."""
+
+NO_OBJECTS = "no agent reports an object: only views can contradict each other"
+"""Said of a round without objects."""
+
 FALSE_RATE = 0.01
 """Share of benign scenes in which somebody is accused, where the shipped limits support so small a one."""
 
@@ -108,19 +120,29 @@ class Round:
             np.array([trust[report.agent] for report in self.reports]),
         )  # fmt: skip
 
+    def reasons(self) -> dict[str, str]:
+        """Return what speaks most against each agent that is accused, by its name."""
+        picture = self.picture
+        most = trust_limits().beyond(picture.verdicts.answers, picture.elevated).argmax(axis=1)
+        return {picture.agents[n]: WHY[QUESTIONS[most[n]]] for n in np.flatnonzero(self.accused).tolist()}
+
     def sentences(self) -> list[str]:
-        """Return who is accused, disputed or missing, and who is alone, a sentence each; none where nobody is."""
-        names = np.array(self.picture.agents)
-        accused, disputed = ", ".join(names[self.accused]), ", ".join(names[self.disputed])
-        lies = [f"{accused} contradicts the others: its reports count little"] if accused else []
+        """Return who is accused and why, disputed or missing, and who is alone, a sentence each; none for nobody."""
+        disputed = ", ".join(np.array(self.picture.agents)[self.disputed])
+        lies = [f"{agent} is accused: {why}; it counts little" for agent, why in self.reasons().items()]
         lies += [f"{disputed}: one of them lies, and no third view says which"] if disputed else []
         if self.missing:
             lies.append(f"{self._those_missing} heard lately and missing: they contradict nobody")
+        return lies + self.gaps()
+
+    def gaps(self) -> list[str]:
+        """Return why nobody can contradict an agent: it is alone or far away, or no agent reports an object."""
+        gaps = []
         if len(self.reports) == 1:
-            lies.append(f"{self.reports[0].agent} alone is heard: nobody contradicts it")
+            gaps.append(f"{self.reports[0].agent} alone is heard: nobody contradicts it")
         elif apart := ", ".join(self._far_from_all()):
-            lies.append(f"{apart}: farther than {APART_M:g} m from all others, so that nobody contradicts it")
-        return lies
+            gaps.append(f"{apart}: farther than {APART_M:g} m from all others, so that nobody contradicts it")
+        return gaps if any(len(report.detections) for report in self.reports) else [*gaps, NO_OBJECTS]
 
     def _far_from_all(self) -> list[str]:
         """Return the agents of the round whose views overlap with nobody else's."""
@@ -160,7 +182,7 @@ class Round:
         ]  # fmt: skip
         return {
             "t_s": round(picture.t_s, 6), "agents": agents, "missing": list(self.missing),
-            "doubt": round(verdicts.doubt, 3), "objects": objects,
+            "doubt": round(verdicts.doubt, 3), "objects": objects, "notes": self.sentences(),
         }  # fmt: skip
 
 

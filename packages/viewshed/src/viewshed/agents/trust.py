@@ -403,10 +403,11 @@ class TrustLimits:
     """Accuses agents at a stated rate, calibrated on benign scenes.
 
     Answers to all ``QUESTIONS`` are put on one scale by those of honest agents, low or elevated, of benign scenes. The
-    unit is the scene: whoever is accused must stand higher on that scale than anybody of nearly all benign scenes does
-    on the scale of the others (a jackknife: one scene moves the scale hardly). If the scene at hand
-    is one like those (exchangeable), somebody is accused in at most the stated share of benign scenes, however the
-    agents of one scene depend on each other.
+    unit is the scene, for the shipped limits 6 s of five agents, so that a drive of ten minutes is about 100 of them:
+    whoever is accused must stand higher on that scale than anybody of nearly all benign scenes does on the scale of
+    the others (a jackknife: one scene moves the scale hardly). If the scene at hand is one like those (exchangeable),
+    somebody is accused in at most the stated share of benign scenes, however the agents of one scene depend on each
+    other.
     """
 
     usual: F64  # (2, 5) nine in ten answers are smaller, by whether the sensor is elevated and by question
@@ -451,14 +452,18 @@ class TrustLimits:
         """The smallest rate that the number of scenes supports."""
         return 1.0 / (len(self.score) + 1.0)
 
+    def beyond(self, answers: F64, elevated: Mask) -> F64:
+        """Return by how much the answers (A, 5) of each agent are beyond the usual ones of its kind, on one scale."""
+        kind = elevated.astype(np.intp)
+        return np.asarray((answers - self.usual[kind]) / self.spread[kind])
+
     def scores(self, answers: F64, elevated: Mask) -> F64:
         """Return the norm (A,) of what the answers (A, 5) of each agent are beyond the usual ones of its kind.
 
         The norm of the exponent ``TOGETHER`` is more than the largest and less than the sum: liars are often unusual in
         several answers, honest agents at times. Where all answers are usual it is the one nearest to that, below 0.
         """
-        kind = elevated.astype(np.intp)
-        beyond = (answers - self.usual[kind]) / self.spread[kind]
+        beyond = self.beyond(answers, elevated)
         norm = (np.maximum(beyond, 0.0) ** TOGETHER).sum(axis=1) ** (1.0 / TOGETHER)
         return np.asarray(norm + np.minimum(beyond.max(axis=1), 0.0))
 

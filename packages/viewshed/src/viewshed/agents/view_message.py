@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 from viewshed.agents import cbor
 from viewshed.agents.fov_code import decode_fov, encode_fov, has_std
 from viewshed.arrays import F64
-from viewshed.detections import Detections, ObjectKind
+from viewshed.detections import Detections
 from viewshed.fov.estimate import FovEstimate
 from viewshed.fov.height_map import HeightMap
 from viewshed.fov.visibility import Target
-from viewshed.geometry import Rigid, quaternion_from_rotation
+from viewshed.geometry import Rigid, pose_covariance_of, quaternion_from_rotation
 from viewshed.grid import BevGrid
 from viewshed.monitor.evidence.base import SECTORS
 from viewshed.monitor.report import IntegrityReport
@@ -53,17 +53,12 @@ _NAME = re.compile(r"[A-Za-z0-9_.\-]{1,32}")
 
 _GROUND_STEPS_PER_M, _MOST_STEPS = 100.0, 2**15 - 1
 
-_LAST_KIND = int(max(ObjectKind))
-
 _UPPER6 = np.triu_indices(6)
 
 # Where each number of a symmetric matrix (6, 6) stands among those of its upper triangle.
 _SQUARE6 = np.zeros((6, 6), np.intp)
 _SQUARE6[_UPPER6] = np.arange(21)
 _SQUARE6 = np.maximum(_SQUARE6, _SQUARE6.T)
-
-# Covariances are rounded to float32: an eigenvalue below zero by no more than this share of the trace is none.
-_ROUNDING = 1e-5
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,9 +106,7 @@ class ViewMessage:
         for name, highest in (("epoch", MAX_EPOCH), ("sequence", MAX_SEQUENCE), ("t_ns", MAX_T_NS)):
             if not 0 <= getattr(self, name) <= highest:
                 raise ValueError(f"{name} must lie in [0, {highest}], got {getattr(self, name)}")
-        if self.pose_covariance.shape != (6, 6):
-            raise ValueError(f"pose_covariance must have the shape (6, 6), got {self.pose_covariance.shape}")
-        _require_covariance(self.pose_covariance, "pose_covariance")
+        pose_covariance_of(self.pose_covariance, f"pose_covariance of {self.agent}")
         if self.detections is not None and len(self.detections) > MAX_DETECTIONS:
             raise ValueError(f"a message must have at most {MAX_DETECTIONS} detections, got {len(self.detections)}")
 
@@ -122,19 +115,6 @@ def require_name(what: str, name: str) -> None:
     """Raise ValueError where a name is not 1 to 32 letters, digits, ``_``, ``.`` or ``-``."""
     if not _NAME.fullmatch(name):
         raise ValueError(f"{what} must be 1 to 32 letters, digits, '_', '.' or '-', got {name[:40]!r}")
-
-
-def _require_covariance(matrix: F64, what: str) -> None:
-    """Raise ValueError where a matrix (K, K) is not finite, not symmetric or has a negative variance."""
-    if not np.isfinite(matrix).all():
-        raise ValueError(f"{what} must be finite")
-    slack = _ROUNDING * abs(float(np.trace(matrix))) + 1e-12
-    if (np.abs(matrix - matrix.T) > slack).any():
-        raise ValueError(f"{what} must be symmetric")
-    try:  # what has a negative eigenvalue has no Cholesky decomposition
-        np.linalg.cholesky(matrix + slack * np.eye(len(matrix)))
-    except np.linalg.LinAlgError:
-        raise ValueError(f"{what} must have no negative eigenvalue") from None
 
 
 def encode_message(message: ViewMessage) -> bytes:
@@ -277,10 +257,10 @@ def _ground_of(fields: list[Any]) -> HeightMap:
 
 def _detections_of(fields: list[Any]) -> Detections:
     boxes, kinds, returns = _columns(fields, (np.float32, np.uint8, np.int32))
-    if len(kinds) > MAX_DETECTIONS or (len(kinds) and kinds.max() > _LAST_KIND):
-        raise ValueError(f"a message must have at most {MAX_DETECTIONS} detections, of known kinds")
+    if len(kinds) > MAX_DETECTIONS:
+        raise ValueError(f"a message must have at most {MAX_DETECTIONS} detections, got {len(kinds)}")
     if len(boxes) != 7 * len(kinds):
-        raise ValueError("columns of detections must all be of as many objects")
+        raise ValueError(f"a message must have 7 numbers for each box, got {len(boxes)} for {len(kinds)} objects")
     return Detections(boxes.reshape(-1, 7).astype(np.float64), kinds, returns)
 
 

@@ -152,6 +152,7 @@ class Center:
         from viewshed.agents.rounds import Rounds
 
         self._rounds, self._adversary = Rounds(), adversary
+        self._last: Round | None = None
         self.trust: dict[str, float] = {}
         """In each agent, after the last round."""
         self.accused: frozenset[str] = frozenset()
@@ -167,7 +168,7 @@ class Center:
         """Return the last round that a report ended, if it did; a pose is as certain as its sweep states."""
         from viewshed.agents.registration import PoseStd
         from viewshed.agents.report import AgentReport
-        from viewshed.cli.fuse import line_of
+        from viewshed.cli.fuse import line_of, note_gaps
 
         if estimate.t_ns is None or estimate.world_from_level is None:
             raise ValueError(
@@ -180,6 +181,8 @@ class Center:
             note(line)
         for each in done:
             typer.echo(f"center: {line_of(each)}")
+            note_gaps(each, self._last)
+            self._last = each
             agents = each.picture.agents
             self.trust |= dict(zip(agents, each.picture.verdicts.trust.tolist(), strict=True))
             self.accused = frozenset(name for name, flag in zip(agents, each.accused, strict=True) if flag)

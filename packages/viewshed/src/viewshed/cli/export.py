@@ -19,7 +19,10 @@ from viewshed.cli._stream import one_sweep
 def export(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="A sweep, or an estimate's .npz.")],
     to: Annotated[
-        str, typer.Option(help="geojson, geotiff, nav2_map, nav2_mask, occupancy_grid, grid_map, osi, cpm or npz.")
+        str,
+        typer.Option(
+            help="geojson, geotiff, nav2_map, nav2_mask, occupancy_grid, grid_map, osi, cpm, cpm_uper (bytes) or npz."
+        ),
     ] = "geojson",
     sectors: Annotated[int, typer.Option(help="For cpm: number of sectors of the view.")] = 16,
     method: Annotated[str | None, typer.Option(help="Method, where FILE is a sweep; shadow_map if not given.")] = None,
@@ -42,13 +45,17 @@ def export(
     Example: viewshed export sweep.bin --to cpm --sectors 16
     """
     from viewshed._files import write_atomic
-    from viewshed.io.export import EXPORTERS, format_of_content, read_npz, to_cpm
+    from viewshed.io.export import EXPORTERS, Exporter, format_of_content, read_npz, to_cpm
+    from viewshed.io.export.cpm import STATES, UPER_SUFFIX, to_cpm_uper
     from viewshed.io.export.crs import crs_named
     from viewshed.preprocess.leveling import level
 
-    if to not in EXPORTERS:
-        raise ValueError(f"to must be one of {', '.join(EXPORTERS)}, got {to!r}")
-    exporter = EXPORTERS[to]
+    # The message needs a place on earth: no format of any estimate.
+    message = Exporter(partial(to_cpm_uper, sectors=sectors), UPER_SUFFIX, b"", STATES, has_crs=True)
+    exporters = EXPORTERS | {"cpm_uper": message}
+    if to not in exporters:
+        raise ValueError(f"to must be one of {', '.join(exporters)}, got {to!r}")
+    exporter = exporters[to]
     exporter.check_crs(crs)
     stem = stem_of(file.name) or "viewshed"
     estimator = None

@@ -16,7 +16,7 @@ from viewshed.cli._outputs import Failures, Named, make_folder, output_names, pa
 from viewshed.cli._places import chosen_files
 from viewshed.cli._profile import Method
 from viewshed.cli._stream import named_sweeps
-from viewshed.cli._terminal import note
+from viewshed.cli._terminal import BAD_INPUTS, note
 from viewshed.cli.estimate import Files
 
 if TYPE_CHECKING:
@@ -41,7 +41,7 @@ def fuse(
     ] = 0.1,
     pose_std: Annotated[
         str | None,
-        typer.Option(help="Standard deviation of poses: METERS,DEGREES, as 0.2,0.5; if not given, as sweeps state."),
+        typer.Option(help="Standard deviation of poses: METERS,DEGREES up to 0.25,0.6; if not given, as sweeps state."),
     ] = None,
     results: Annotated[str, typer.Option(help="What is written: some of jsonl,png,html.")] = "jsonl,png,html",
     out: Annotated[Path, typer.Option(help="Folder of the results.")] = Path("fused"),
@@ -69,7 +69,12 @@ def fuse(
     done, pictures = list[Round](), list[bytes]()
     streams = [named_sweeps(reading, [job], [name], failures) for job, name in zip(jobs, names, strict=True)]
     for t_s, sweeps in rounds(streams, slop, failures):
-        reports = [report_of(sweep, estimator, detector, std) for sweep in sweeps]
+        reports = []
+        for sweep in sweeps:
+            try:
+                reports.append(report_of(sweep, estimator, detector, std))
+            except BAD_INPUTS as error:  # one sweep costs no other
+                failures.report(f"{sweep.agent}, {t_s:.2f} s", error)
         one = gathered.together(t_s, reports)
         for line in gathered.notes:
             note(line)
@@ -77,6 +82,7 @@ def fuse(
             failures.report(f"{t_s:.2f} s", ValueError("no report of this time could be put together with others"))
             continue
         typer.echo(line_of(one))
+        note_gaps(one, done[-1] if done else None)
         done.append(one)
         if {"png", "html"} & set(kinds):
             pictures.append(fused_picture(one))
@@ -122,17 +128,20 @@ def _with_times(stream: Iterator[Named], number: int, failures: Failures) -> Ite
 
 def parse_pose_std(words: str | None) -> PoseStd | None:
     """Return the standard deviations in METERS,DEGREES; None where they are not given."""
-    from math import radians
+    from math import degrees, radians
 
-    from viewshed.agents.registration import PoseStd
+    from viewshed.agents.registration import MOST_M, MOST_TURN, PoseStd
 
     if words is None:
         return None
     try:
         place_m, yaw_deg = (float(part) for part in words.split(","))
-        return PoseStd(place_m, radians(yaw_deg))
+        std = PoseStd(place_m, radians(yaw_deg))
     except ValueError as error:
         raise ValueError(f"--pose-std must be METERS,DEGREES, both 0 or more, got {words!r}; as 0.2,0.5") from error
+    if std.bounded != std:
+        note(f"--pose-std {words}: larger deviations than {MOST_M:g} m and {degrees(MOST_TURN):g}° count as these")
+    return std
 
 
 def report_of(sweep: Sweep, estimator: Estimator, detector: Detector, pose_std: PoseStd | None = None) -> AgentReport:
@@ -148,12 +157,21 @@ def report_of(sweep: Sweep, estimator: Estimator, detector: Detector, pose_std: 
     return AgentReport.of(estimate, detector.detect(leveled), pose_std or PoseStd.stated_by(sweep), leveled.ground)
 
 
+def note_gaps(done: Round, before: Round | None) -> None:
+    """Say why nobody can contradict an agent, where that was not so in the round before."""
+    known = [] if before is None else before.gaps()
+    for line in done.gaps():
+        if line not in known:
+            note(line)
+
+
 def line_of(done: Round) -> str:
-    """Return a round in a line: objects, who is accused of lies, and who is disputed."""
+    """Return a round in a line: objects, who is accused of lies and why, and who is disputed."""
     picture = done.picture
+    accused = [f"{agent} ({why})" for agent, why in done.reasons().items()]
+    disputed = [agent for agent, flag in zip(picture.agents, done.disputed, strict=True) if flag]
     verdicts = "".join(
-        f"; {word} {', '.join(agent for agent, flag in zip(picture.agents, flags, strict=True) if flag)}"
-        for word, flags in (("ACCUSED", done.accused), ("disputed", done.disputed)) if flags.any()
-    )  # fmt: skip
+        f"; {word} {', '.join(agents)}" for word, agents in (("ACCUSED", accused), ("disputed", disputed)) if agents
+    )
     objects = f"{picture.believed.sum()} of {len(picture.tracks)} objects believed"
     return f"{picture.t_s:.2f} s: {objects}{verdicts}"

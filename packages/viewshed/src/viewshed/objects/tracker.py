@@ -344,6 +344,7 @@ class Tracker:
         self._table = _no_tracks(self.rules.motion)
         self._last: Tracks | None = None
         self._view: View | None = None
+        self._has_told_odds = False
 
     def reset(self) -> None:
         """Forget all tracks and times; ids go on where they were."""
@@ -361,14 +362,14 @@ class Tracker:
             noise: (K, 2, 2) covariance of each detection's center in square meters; None is the rules' own.
             false_odds: (K,) how many false detections there are like each, for one of an object
                 (:meth:`viewshed.objects.detection_table.DetectionTable.false_odds`); None asks the view, and where that
-                knows none the rules.
+                knows none the rules, with a note at the first detections.
 
         Raises:
             ValueError: there are too many detections, a covariance is not positive definite, odds are not positive, or
                 the view is of another time. The tracks are as before, and the next sweep can follow.
         """
         rules, notes = self.rules, list[str]()
-        measured = self._checked(t_s, detections, view, noise, false_odds)
+        measured = self._checked(t_s, detections, view, noise, false_odds, notes)
         late = self._time_note(t_s, view, notes)
         if late is not None:
             return late
@@ -413,9 +414,15 @@ class Tracker:
         return self._last
 
     def _checked(
-        self, t_s: float, detections: Detections, view: View, noise: F64 | None, false_odds: F64 | None
+        self,
+        t_s: float,
+        detections: Detections,
+        view: View,
+        noise: F64 | None,
+        false_odds: F64 | None,
+        notes: list[str],
     ) -> Measured:
-        """Return the detections with all that is known of them, or raise ValueError."""
+        """Return the detections with all that is known of them, a note where odds are guessed, or raise ValueError."""
         count = len(detections)
         if not np.isfinite(t_s):
             raise ValueError(f"t_s must be finite, got {t_s}")
@@ -438,6 +445,10 @@ class Tracker:
             raise ValueError(
                 f"noise must be symmetric and positive definite, got {spread[first].tolist()} for detection {first}"
             )
+        if known is None and count and not self._has_told_odds:
+            self._has_told_odds = True
+            guess = f"{self.rules.false_odds:g} for one of an object"
+            notes.append(f"false detections are not known for this view: {guess} taken; give false_odds")
         return Measured(detections.boxes, detections.kinds, spread, odds)
 
     def _time_note(self, t_s: float, view: View, notes: list[str]) -> Tracks | None:

@@ -77,6 +77,10 @@ class Canvas:
         left, top, right, bottom = (round(edge) for edge in box)
         ImageDraw.Draw(self._image).rectangle((left, top, right - 1, bottom - 1), color, outline)
 
+    def line(self, corners: Sequence[tuple[float, float]], color: Color, width: int = 1) -> None:
+        """Draw a line through corners."""
+        ImageDraw.Draw(self._image).line(list(corners), color, width)
+
     def veil(self, box: Box, radius: float = 0.0) -> None:
         """Lay a rectangle of white, with round corners and what lies below shining through, under words."""
         left, top, right, bottom = (round(edge) for edge in box)

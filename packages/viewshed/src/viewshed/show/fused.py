@@ -6,13 +6,20 @@ import base64
 import html
 import json
 from collections.abc import Sequence
+from colorsys import hls_to_rgb
 from dataclasses import replace
+from itertools import permutations
 from textwrap import wrap
 
 import numpy as np
 from numpy.typing import NDArray
 
+from viewshed.agents.registration import surface_cells
+from viewshed.agents.report import AgentReport
 from viewshed.agents.rounds import Round
+from viewshed.agents.view_evidence import FARTHEST_M, NEAREST_M, SAME_GROUND_M
+from viewshed.arrays import F64
+from viewshed.fov.estimate import CellState
 from viewshed.objects.matching import corners_of
 from viewshed.show._canvas import BLACK, WHITE, Canvas, Color
 from viewshed.show.plot import Panel, map_picture
@@ -26,6 +33,12 @@ TRUSTED, DOUBTED, DISTRUSTED, QUIET = (20, 140, 40), (235, 150, 0), (214, 39, 40
 CONTRADICTION_NATS = 3.0
 """Two views of which a comparison is as rare as this contradict each other."""
 
+MOST_OUTLINED = 5
+"""Most agents whose views are outlined; more lines hide each other."""
+
+_LEAST_AREA_M2 = 20.0
+"""Pieces of a view that are smaller are not outlined."""
+
 _LINE, _LETTERS = 20, 54
 """Pixels between lines of words, and the most letters of one."""
 
@@ -37,6 +50,25 @@ def color_of(trust: float) -> Color:
     (True, True, True)
     """
     return TRUSTED if trust >= 0.7 else DOUBTED if trust >= 0.3 else DISTRUSTED
+
+
+def agent_color(number: int, agents: int) -> Color:
+    """Return the color of an agent's own lines, from cyan to purple: none that says something of belief."""
+    hue = (170.0 + 150.0 * number / max(agents - 1, 1)) / 360.0
+    red, green, blue = (round(255 * part) for part in hls_to_rgb(hue, 0.4, 0.7))
+    return red, green, blue
+
+
+def claimed_free(claims: AgentReport, other: AgentReport) -> F64:
+    """Return where in the world (K, 2) surfaces of another agent stand that one claims free, on the same ground."""
+    own = surface_cells(other.estimate, NEAREST_M, FARTHEST_M)
+    pose = other.world_from_level
+    world: F64 = own @ pose.rotation[:2, :2].T + pose.translation[:2]
+    level = claims.in_level(world)
+    cells, inside = claims.estimate.grid.index(level)
+    is_free = inside & (claims.estimate.state[cells[:, 0], cells[:, 1]] == CellState.FREE)
+    seen: F64 = world[is_free & (np.abs(claims.ground_m(level) - other.ground_m(own)) < SAME_GROUND_M)]
+    return seen
 
 
 def contradictions(done: Round) -> list[tuple[int, int, str]]:
@@ -59,7 +91,11 @@ def contradictions(done: Round) -> list[tuple[int, int, str]]:
 
 
 def fused_picture(done: Round) -> bytes:
-    """Return a PNG of a round: the joint view, agents by trust, objects by belief, and lines between who contradict."""
+    """Return a PNG of a round: the joint view, agents by trust, objects by belief, and lines between who contradict.
+
+    Of up to ``MOST_OUTLINED`` agents also the outlines of their views, and red dots where one claims a surface of
+    another free.
+    """
     picture, joint = done.picture, done.joint
     panel = Panel(replace(joint.estimate(done.t_ns), agent=""), "")
     area = map_picture(panel, SIDE)
@@ -73,19 +109,34 @@ def fused_picture(done: Round) -> bytes:
     places = {report.agent: report.world_from_level.translation[:2] for report in done.reports}
     trust = dict(zip(picture.agents, picture.verdicts.trust.tolist(), strict=True))
     pairs = contradictions(done)
-    # 1. Who contradicts whom.
-    for one, other, _ in pairs:
-        ends = [places.get(picture.agents[number]) for number in (one, other)]
+    own_colors = {name: agent_color(number, len(trust)) for number, name in enumerate(sorted(trust))}
+    # 1. The outline of each view.
+    if is_outlined := len(done.reports) <= MOST_OUTLINED:
+        for report in done.reports:
+            pose = report.world_from_level
+            for piece in report.estimate.polygon().geoms:
+                if piece.area >= _LEAST_AREA_M2:
+                    ring = np.array(piece.exterior.coords) @ pose.rotation[:2, :2].T + pose.translation[:2]
+                    area.line(pixels(ring), own_colors[report.agent], 2)
+    # 2. Surfaces of one agent that another one claims free, where their views contradict each other.
+    numbers = {report.agent: picture.agents.index(report.agent) for report in done.reports}
+    for claims, other in permutations(done.reports, 2) if is_outlined else ():
+        if picture.verdicts.against[numbers[claims.agent], numbers[other.agent]] >= CONTRADICTION_NATS:
+            for x, y in pixels(claimed_free(claims, other)):
+                area.rectangle((x - 1.5, y - 1.5, x + 1.5, y + 1.5), DISTRUSTED)
+    # 3. Who contradicts whom.
+    for one, partner, _ in pairs:
+        ends = [places.get(picture.agents[each]) for each in (one, partner)]
         if ends[0] is not None and ends[1] is not None:
             area.polygon(pixels(np.stack([ends[0], ends[1]])), DISTRUSTED, grow=1.2)
-    # 2. Objects: the outline of each box that somebody reports or that is believed.
+    # 4. Objects: the outline of each box that somebody reports or that is believed.
     for number in np.flatnonzero(picture.reported | picture.believed):
         color = color_of(float(picture.existence[number]))
         corners = pixels(corners_of(picture.tracks.boxes[[number]])[0])
         for first, second in zip(corners, [*corners[1:], corners[0]], strict=True):
             area.polygon([first, second], color, grow=1.0)
         area.text((corners[0][0] + 3, corners[0][1] - 3), str(picture.tracks.ids[number]), 6)
-    # 3. Agents: a disc in the color of the trust in each, and its name.
+    # 5. Agents: a disc in the color of the trust in each, and its name.
     for agent, xy in places.items():
         [(column, row)] = pixels(xy)
         turn = np.linspace(0.0, 2 * np.pi, 17)[:-1]
@@ -98,12 +149,14 @@ def fused_picture(done: Round) -> bytes:
     page.text((MARGIN, MARGIN + 12), f"{len(done.reports)} agents, {picture.t_s:.2f} s", 11, bold=True)
     page.paste(area, MARGIN, MARGIN + 30)
     left, top = SIDE + 2 * MARGIN, MARGIN + 44
-    # 4. Words: agents with trust, what is believed, who contradicts whom.
+    # 6. Words: agents with trust, what is believed, who contradicts whom.
     for at, agent in enumerate(picture.agents):
         word = "accused" if done.accused[at] else "disputed" if done.disputed[at] else ""
         page.rectangle((left, top - 11, left + 12, top + 1), color_of(trust[agent]))
         silent = "" if agent in places else " (silent)"
-        page.text((left + 20, top), f"{agent}{silent}: trust {trust[agent]:.2f} {word}", 9, bold=bool(word))
+        if is_outlined:
+            page.rectangle((left + 14, top - 11, left + 18, top + 1), own_colors[agent])
+        page.text((left + 24, top), f"{agent}{silent}: trust {trust[agent]:.2f} {word}", 9, bold=bool(word))
         top += _LINE
     shown = picture.reported | picture.believed
     top += _LINE // 2
@@ -115,8 +168,11 @@ def fused_picture(done: Round) -> bytes:
         for line in wrap(sentence, _LETTERS):
             top += _LINE
             page.text((left, top), line, 8, bold=bold)
-    top = SIDE + MARGIN - 2 * _LINE
+    top = SIDE + MARGIN - 4 * _LINE
     legend = (("believed", TRUSTED), ("in doubt", DOUBTED), ("not believed; contradiction", DISTRUSTED))
+    if is_outlined:
+        page.text((left, top + 3 * _LINE), "lines: edges of what each agent sees", 8)
+        page.text((left, top + 4 * _LINE), "red dots: surfaces that another agent claims free", 8)
     for line_number, (word, color) in enumerate(legend):
         page.rectangle((left, top + line_number * _LINE - 11, left + 12, top + line_number * _LINE + 1), color, BLACK)
         page.text((left + 20, top + line_number * _LINE), f"agents and objects: {word}" if not line_number else word, 8)
@@ -136,7 +192,7 @@ def fused_page(rounds: Sequence[Round], pictures: Sequence[bytes], title: str) -
             for done in rounds if agent in done.picture.agents
         ]  # fmt: skip
         path = " ".join(f"{x:.1f},{y:.1f}" for x, y in places)
-        color = f"hsl({360 * number // len(agents)} 70% 40%)"
+        color = "#{:02x}{:02x}{:02x}".format(*agent_color(number, len(agents)))
         lines.append(f'<polyline points="{path}" fill="none" stroke="{color}" stroke-width="2"/>')
         ends.append((places[-1][1], f'fill="{color}">{html.escape(agent)}</text>'))
     # Names stand at the ends of their lines, one below the other where these meet.

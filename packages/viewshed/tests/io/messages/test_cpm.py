@@ -1,6 +1,7 @@
 """Collective Perception Messages: bytes by ETSI's own modules, through another implementation, and back."""
 
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -9,9 +10,11 @@ import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 from tests.io.export.test_export import street
+from tests.io.export.test_opened import HAMBURG
 
 from viewshed.detections import Detections, ObjectKind
 from viewshed.io.export import claimed_by_cpm, to_cpm
+from viewshed.io.export.cpm import to_cpm_uper
 from viewshed.io.messages.cpm import CONTAINERS, MESSAGE, MOST_BYTES, Station, decode_cpm, encode_cpm
 from viewshed.io.messages.uper import Choice, Flag, Numbered, Record, Several, Type, Whole, decode, encode
 
@@ -247,3 +250,33 @@ def test_a_station_out_of_bounds_is_refused() -> None:
     other = {"header": {"protocolVersion": 2, "messageId": 2, "stationId": 1}}
     with pytest.raises(ValueError, match="must be a CPM"):
         decode_cpm(encode(MESSAGE, decode_cpm(encode_cpm(STATION, T_NS)[0]) | other, "message"))
+
+
+def test_objects_and_sizes_that_do_not_fit_are_named() -> None:
+    boxes = np.tile([4.0, -2.0, 0.8, 4.2, 1.8, 1.5, 0.3], (257, 1))
+    boxes[3, 3] = 40.0
+    many = Detections(boxes, np.full(257, ObjectKind.CAR), np.zeros(257, np.int32))
+    with (
+        pytest.warns(UserWarning, match="at most 255 objects: the last 2 are left out"),
+        pytest.warns(UserWarning, match=r"sizes up to 25\.4 m, got 1 objects that are larger"),
+    ):
+        contents = encode_cpm(STATION, T_NS, (), many)
+    [sent] = {decode_cpm(each)["payload"]["cpmContainers"][1]["perceivedObjectContainer"]["numberOfPerceivedObjects"]
+              for each in contents}  # fmt: skip
+    assert sent == 255
+
+
+def test_an_estimate_with_a_position_is_a_whole_message() -> None:
+    """In Hamburg, 0.995° east of the meridian of its zone, grid north lies 0.8° east of north."""
+    pytest.importorskip("rasterio", reason="rasterio is not installed: no place on earth")
+    placed = replace(street(), world_from_level=HAMBURG, t_ns=T_NS)
+    message = decode_cpm(to_cpm_uper(placed, "EPSG:25832"))
+    place = message["payload"]["managementContainer"]["referencePosition"]
+    assert [place[name] / 1e7 for name in ("longitude", "latitude")] == pytest.approx([9.9953, 53.5148], abs=1e-4)
+    heading = message["payload"]["cpmContainers"][0]["originatingVehicleContainer"]["orientationAngle"]["value"]
+    assert heading == pytest.approx(900 - np.degrees(0.4) * 10 + 8.0, abs=1.0)
+    for lacking, what in (({"t_ns": None}, "time"), ({"world_from_level": None}, "pose")):
+        with pytest.raises(ValueError, match=f"got no {what}; give --poses and --crs"):
+            to_cpm_uper(replace(placed, **lacking), "EPSG:25832")
+    with pytest.raises(ValueError, match="got no crs"):
+        to_cpm_uper(placed)

@@ -256,7 +256,19 @@ class AgentsResults:
             met = figure <= bound if below else figure >= bound
             word = "met" if met else "missed"
             lines.append([what, f"{'≤' if below else '≥'} {bound:g}", format_rate(figure, 3), word])
+        scenes, wanted = self.plan.test, AgentsPlan.load("full").test
+        lines.append(["scenes reported on", f"≥ {wanted}", str(scenes), "met" if scenes >= wanted else "missed"])
+        if over := self.of("over_claim"):
+            trust = np.concatenate([np.array(run.trust)[-1][run.liars] for run in over])
+            lines.append(["over-claimers trusted less than .5", "–", format_rate(float((trust < 0.5).mean())), ""])
         return Table(("what", "target", "reached", ""), lines)
+
+    def times_table(self) -> Table:
+        """Return the time of a round beside what was aimed at, of the rounds of the pictures."""
+        median_ms, agents = float(np.median(self.round_ms)), self.plan.moving + self.plan.roadside
+        word = "met" if median_ms <= ROUND_MS else "missed"
+        row = [f"a round of {agents} agents", f"≤ {ROUND_MS:g}", f"{median_ms:.0f}, {word}", str(len(self.round_ms))]
+        return Table(("on one core", "target, ms", "median, ms", "rounds"), [row])
 
 
 def _counts(run: Run, plan: AgentsPlan) -> bool:
@@ -301,8 +313,6 @@ def files_of(store: ResultStore[AgentsPlan]) -> dict[str, bytes]:
     about = facts(
         plan=f"{plan.name}: {plan.about}", seed=str(plan.seed),
         sensors=f"{', '.join(plan.sensors)}; tested with {', '.join(plan.test_sensors)}", scenes=scenes,
-        round=f"{np.median(found.round_ms):.0f} ms of a core for {plan.moving + plan.roadside} agents, median of"
-        f" {len(found.round_ms)}; wanted: {ROUND_MS:g} ms",
         commits=commits(results),
     )  # fmt: skip
     return page.files("agents.md", about)

@@ -32,11 +32,16 @@ from viewshed.fov.polygons import (
 )
 from viewshed.geometry import FloatArray
 from viewshed.grid import BevGrid
+from viewshed.io.export.crs import degrees_at
+from viewshed.io.messages.cpm import MOST_BYTES, Station, encode_cpm
 
 STATES = (
     "claimed: visible cells by the threshold (FREE, SURFACE), as far as the shapes reach; "
     "HIDDEN and UNKNOWN are never claimed and not told apart"
 )
+
+UPER_SUFFIX = ".cpm.uper"
+"""Of a file that holds a whole message."""
 
 MAX_IN_REGION = 16
 
@@ -47,6 +52,36 @@ _MARGIN_M = 0.0075
 _PRICE_STEPS = 8
 
 _MAX_ISLANDS = 8
+
+
+def to_cpm_uper(estimate: FovEstimate, crs: str | None = None, *, sectors: int = 16, station_id: int = 0) -> bytes:
+    """Return a whole CPM of the perception regions, in the standard's bytes (UPER), of a station in the world.
+
+    Args:
+        estimate: what to send, with a pose and a time.
+        crs: reference system of the world frame, as ``EPSG:25832``.
+        sectors: how many radial shapes in all regions together.
+        station_id: of the sender, up to 2³² - 1.
+
+    Raises:
+        ValueError: the estimate has no time or no position in a reference system, or it takes more than one message.
+        ImportError: rasterio is not installed.
+    """
+    pose = estimate.world_from_level
+    if crs is None or pose is None or estimate.t_ns is None:
+        lacks = "crs" if crs is None else "pose" if pose is None else "time"
+        raise ValueError(f"a CPM must have a time, a pose and its crs, got no {lacks}; give --poses and --crs")
+    (longitude_deg, latitude_deg), ahead = degrees_at(crs, np.array([[0.0, 0.0], [100.0, 0.0]]), pose)
+    # The north of a projected system is not the true one, to which headings of messages refer.
+    east = (ahead[0] - longitude_deg) * np.cos(np.radians(latitude_deg))
+    yaw = float(np.arctan2(ahead[1] - latitude_deg, east))
+    station = Station(station_id, float(latitude_deg), float(longitude_deg), yaw=yaw)
+    messages = encode_cpm(station, estimate.t_ns, to_cpm(estimate, sectors)["perceptionRegionContainer"])
+    if len(messages) > 1:
+        raise ValueError(
+            f"the regions must fit into one CPM of {MOST_BYTES} bytes, got {len(messages)}; give fewer sectors"
+        )
+    return messages[0]
 
 
 def to_cpm(

@@ -56,6 +56,12 @@ def crs_named(name: str, pose: Rigid | None) -> CRS:
     return system
 
 
+def degrees_at(name: str, level_m: NDArray[np.float64], pose: Rigid) -> NDArray[np.float64]:
+    """Return longitude and latitude (N, 2) of places (N, 2) of ``level``; errors as :func:`crs_named`."""
+    system = crs_named(name, pose)
+    return _in_degrees(level_m @ Rigid.from_yaw(pose.yaw).rotation[:2, :2].T + pose.translation[:2], system)
+
+
 def to_wgs84(polygon: BaseGeometry, system: CRS) -> BaseGeometry:
     """Return a polygon in meters of a reference system with its vertices as longitude and latitude in degrees."""
     return shapely.transform(polygon, lambda xy: _in_degrees(xy, system))

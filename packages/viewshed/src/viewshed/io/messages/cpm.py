@@ -7,6 +7,7 @@ our own. Of a message that somebody else sent, other containers are skipped.
 from __future__ import annotations
 
 import calendar
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -153,6 +154,7 @@ MESSAGE = Record({
 """CollectivePerceptionMessage."""
 
 _PROTOCOL, _CPM, _MOST_SEGMENTS = 2, 14, 8
+_MOST_OBJECTS, _MOST_SIZE_M = 255, 25.4  # a size of 255 decimeters says: larger
 _EPOCH_S = calendar.timegm((2004, 1, 1, 0, 0, 0))
 _LEAPS_S = tuple(
     calendar.timegm((year, month, 1, 0, 0, 0))
@@ -203,9 +205,13 @@ def encode_cpm(
         regions: ``perceptionRegionContainer`` of :func:`viewshed.io.export.to_cpm`, of the sender's ``level`` frame.
         objects: in the same frame; None leaves the container out.
 
+    More than 255 objects, and sizes beyond 25.4 m, do not fit: a warning says what is left out.
+
     Raises:
         ValueError: a number does not fit, or it takes more than eight segments.
     """
+    if objects is not None:
+        _warn_of_what_does_not_fit(objects)
     tenths = round(np.degrees(station.yaw) * 10) % 3600
     parts: list[tuple[str, dict[str, Any]]] = [("perceptionRegionContainer", _turned(each, tenths)) for each in regions]
     parts += [("perceivedObjectContainer", each) for each in _objects(objects, np.radians(tenths / 10))]
@@ -230,7 +236,7 @@ def encode_cpm(
         if objects is not None:
             boxes = [each for name, each in part if name == "perceivedObjectContainer"]
             contained.append({"perceivedObjectContainer": {
-                "numberOfPerceivedObjects": min(len(objects), 255), "perceivedObjects": boxes
+                "numberOfPerceivedObjects": min(len(objects), _MOST_OBJECTS), "perceivedObjects": boxes
             }})  # fmt: skip
         head = management if segment is None else management | {"segmentationInfo": segment}
         header: dict[str, Any] = {"protocolVersion": _PROTOCOL, "messageId": _CPM, "stationId": station.station_id}
@@ -294,11 +300,20 @@ def _turned_point(point: dict[str, int], tenths: int) -> dict[str, int]:
     return {"xCoordinate": round(c * x - s * y), "yCoordinate": round(s * x + c * y)}
 
 
+def _warn_of_what_does_not_fit(objects: Detections) -> None:
+    if len(objects) > _MOST_OBJECTS:
+        left_out = len(objects) - _MOST_OBJECTS
+        warnings.warn(f"a CPM has at most {_MOST_OBJECTS} objects: the last {left_out} are left out", stacklevel=3)
+    large = (objects.boxes[:_MOST_OBJECTS, 3:6] > _MOST_SIZE_M).any(axis=1).sum()
+    if large:
+        warnings.warn(f"a CPM has sizes up to {_MOST_SIZE_M} m, got {large} objects that are larger", stacklevel=3)
+
+
 def _objects(objects: Detections | None, yaw: float) -> list[dict[str, Any]]:
     """Return the first 255 objects with the standard's names, turned by ``yaw``."""
     if objects is None:
         return []
-    boxes = moved_boxes(objects.boxes[:255], Rigid.from_yaw(yaw))
+    boxes = moved_boxes(objects.boxes[:_MOST_OBJECTS], Rigid.from_yaw(yaw))
     made = []
     for number, (box, kind) in enumerate(zip(boxes, objects.kinds, strict=False)):
         x, y, z, length, width, height, heading = box.tolist()
