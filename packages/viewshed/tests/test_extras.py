@@ -151,6 +151,8 @@ def test_a_command_or_a_name_of_the_laboratory_names_it_where_it_is_not_installe
     done = _without_laboratory("from viewshed.cli import main; main(['study', 'wild', '--preset', 'tiny'])", tmp_path)
     assert (done.returncode, done.stderr.count("\n")) == (2, 1)
     assert "viewshed study needs viewshed-lab: pip install viewshed-lab" in done.stderr
+    done = _without_laboratory("from viewshed.cli import main; main(['--help'])", tmp_path)
+    assert re.search(r"simulate, label, .*, study: pip install viewshed-lab", " ".join(done.stdout.split()))
     done = _without_laboratory("import viewshed; viewshed.Archive", tmp_path)
     assert "ImportError: viewshed.Archive needs viewshed-lab: pip install viewshed-lab" in done.stderr
 
