@@ -91,9 +91,11 @@ $(VENV)/.core: $(CORE) $(VENV)/.made
 	$(PIP) --editable packages/viewshed
 	@touch $@
 
-# The CPU build of torch first: a bare range would pull several gigabytes for graphics cards.
+# PyTorch's index of builds without CUDA: pip's own index would bring gigabytes for graphics cards. Where it cannot be
+# reached, pip goes on without it; TORCH_INDEX= leaves it out.
+TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
 $(VENV)/.torch: $(VENV)/.made
-	$(PIP) 'torch==2.13.0'
+	$(PIP) --retries 1 $(TORCH_INDEX:%=--extra-index-url %) 'torch==2.13.0'
 	@touch $@
 
 $(VENV)/.test: packages/viewshed-lab/pyproject.toml $(VENV)/.core $(VENV)/.torch
