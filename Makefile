@@ -95,7 +95,8 @@ $(VENV)/.core: $(CORE) $(VENV)/.made
 # reached, pip goes on without it; TORCH_INDEX= leaves it out.
 TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
 $(VENV)/.torch: $(VENV)/.made
-	$(PIP) --retries 1 $(TORCH_INDEX:%=--extra-index-url %) 'torch==2.13.0'
+	$(PIP) --no-deps --retries 1 $(TORCH_INDEX:%=--extra-index-url %) 'torch==2.13.0'
+	$(PIP) 'torch==2.13.0'
 	@touch $@
 
 $(VENV)/.test: packages/viewshed-lab/pyproject.toml $(VENV)/.core $(VENV)/.torch

@@ -89,6 +89,12 @@ def load(point: EntryPoint, fits: Callable[[Any], bool] | None = None, kind: str
     return loaded
 
 
+def needs_laboratory(task: str) -> ImportError:
+    """Return the error of a task that needs the laboratory where it is not installed."""
+    install = f"pip install {LABORATORY} (in a checkout: pip install packages/{LABORATORY})"
+    return ImportError(f"{task} needs {LABORATORY}: {install}", name="viewshed_lab")
+
+
 def plugin(group: str, name: str, task: str) -> Any:
     """Return what an installed package adds under a name of a group.
 
@@ -102,6 +108,5 @@ def plugin(group: str, name: str, task: str) -> Any:
     """
     point = plugins(group).get(name)
     if point is None:
-        install = f"pip install {LABORATORY} (in a checkout: pip install packages/{LABORATORY})"
-        raise ImportError(f"{task} needs {LABORATORY}: {install}", name="viewshed_lab")
+        raise needs_laboratory(task)
     return load(point)
