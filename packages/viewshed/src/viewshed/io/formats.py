@@ -78,9 +78,9 @@ def all_formats() -> dict[str, Format]:
 
 
 _NOT_READ = {
-    b"SQLite format 3": "is a ROS 2 bag (SQLite), a recording: open it with viewshed.recordings.read.open_source",
-    b"#ROSBAG V": "is a ROS 1 bag, a recording: open it with viewshed.recordings.read.open_source",
-    b"\x89MCAP0\r\n": "is an MCAP bag, a recording: open it with viewshed.recordings.read.open_source",
+    b"SQLite format 3": "is a ROS 2 bag (SQLite), a recording: open it with viewshed.open_recording",
+    b"#ROSBAG V": "is a ROS 1 bag, a recording: open it with viewshed.open_recording",
+    b"\x89MCAP0\r\n": "is an MCAP bag, a recording: open it with viewshed.open_recording",
     b"FEA1": "is feather version 1; write it again as version 2",
     b"\x0a\x0d\x0d\x0a": "is a pcapng capture; convert it with: editcap -F pcap",
     b"\x1f\x8b": "is gzipped twice; unpack it once",
