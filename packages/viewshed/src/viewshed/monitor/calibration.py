@@ -193,7 +193,7 @@ class Calibration:
         return float(rates.mean() if confidence is None else np.quantile(rates, confidence))
 
     def promise(self, per_hour: float) -> str:
-        """Return in a line what a limit for so many false alarms an hour rests on."""
+        """Return in a line what a limit for this many false alarms an hour rests on."""
         limit = self.limit(per_hour, extrapolate=True)
         how = "" if per_hour >= self.least_per_hour else ", an extrapolation of the tail of their scores"
         most = self.per_hour(limit, CONFIDENCE)
