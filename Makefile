@@ -91,9 +91,10 @@ $(VENV)/.core: $(CORE) $(VENV)/.made
 	$(PIP) --editable packages/viewshed
 	@touch $@
 
-# The CPU build of torch first: a bare range would pull several gigabytes for graphics cards.
+# An index of builds without CUDA, for which pip's own may bring gigabytes for graphics cards: make TORCH_INDEX=…
+TORCH_INDEX ?=
 $(VENV)/.torch: $(VENV)/.made
-	$(PIP) 'torch==2.13.0'
+	$(PIP) $(TORCH_INDEX:%=--extra-index-url %) 'torch==2.13.0'
 	@touch $@
 
 $(VENV)/.test: packages/viewshed-lab/pyproject.toml $(VENV)/.core $(VENV)/.torch

@@ -1,5 +1,6 @@
 """Pages of results begin with three numbers of their own, end with how they were made, and stand in the overview."""
 
+import ast
 import re
 import subprocess
 import tomllib
@@ -106,6 +107,55 @@ def test_the_overview_names_every_page_with_its_number() -> None:
 def test_every_source_of_a_page_is_there() -> None:
     sources = {path for each in result_pages().values() for path in each.sources}
     assert [path for path in sources if not (FOLDER.parents[1] / path).exists()] == []
+
+
+NO_FIGURES = re.compile(
+    r"viewshed/(__init__|_\w+|arrays|show/.*)\.py|viewshed_lab/(_\w+|data/__init__)\.py|benchmarks/report\.py"
+    r"|viewshed_lab/studies/(figures|formatting|pages|plan|runner|store)\.py"
+)
+"""Modules that hold no figure: they store, schedule, draw or format."""
+
+
+OWN = re.compile(r"/studies/(\w+|judges\.py|published_cases\.py|monitor/traces\.py)$|/benchmarks/|^tools/")
+"""Programs that make pages; what several of them share is not followed further."""
+
+
+@pytest.mark.parametrize(
+    "page", [each for each in result_pages().values() if each.sources], ids=lambda page: page.title
+)
+def test_a_page_depends_on_what_its_study_imports(page: ResultPage) -> None:
+    root = FOLDER.parents[1]
+    own = [root / path for path in page.sources if OWN.search(path)]
+    files = [file for path in own for file in ([path] if path.is_file() else path.rglob("*.py"))]
+    bound = [root / path for path in page.sources]
+    missing = {
+        name
+        for module in {module for file in files for module in _imported(file)}
+        if not any(module.is_relative_to(path) for path in bound)
+        and not NO_FIGURES.fullmatch(name := re.sub(r"^packages/[\w-]+/(src/)?", "", str(module.relative_to(root))))
+    }
+    assert missing == set()
+
+
+def _imported(file: Path) -> set[Path]:
+    """Return the modules of this repository that a module imports."""
+    names = set()
+    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.ImportFrom) and node.module:
+            names |= {(node.module, f"{node.module}.{each.name}") for each in node.names}
+        elif isinstance(node, ast.Import):
+            names |= {(each.name, each.name) for each in node.names}
+    return {found for package, name in names if (found := _module(name) or _module(package))}
+
+
+def _module(name: str) -> Path | None:
+    packages = FOLDER.parents[1] / "packages"
+    for folder in (packages / "viewshed" / "src", packages / "viewshed-lab" / "src", packages / "viewshed-lab"):
+        place = folder.joinpath(*name.split("."))
+        for path in (place.with_suffix(".py"), place / "__init__.py"):
+            if path.is_file():
+                return path
+    return None
 
 
 @pytest.fixture

@@ -34,7 +34,7 @@ from viewshed.grid import polar_of_cells
 from viewshed.preprocess.evidence import beam_evidence, cell_features
 from viewshed.preprocess.leveling import level
 from viewshed_lab._page import facts, page, table
-from viewshed_lab.data.wild import TOLD, WildScene, wild_scenes, wild_tables
+from viewshed_lab.data.wild import GIVEN, WildScene, wild_scenes, wild_tables
 from viewshed_lab.studies.formatting import format_rates
 from viewshed_lab.studies.wild.evaluate import reach_of, row_of
 from viewshed_lab.studies.wild.figures import reliability_of
@@ -46,7 +46,7 @@ COUNTED, CALIBRATED = "counted", "calibrated"
 WORDS = """What the default says of a cell, and how often it is so. *Counted*: the probability by counting beams alone.
 *Calibrated*: that of the estimate, by a network of eight units that was fitted to other worlds
 ([evidence](../estimators.md#evidence)). *Development*: styles, sensors and mountings that share nothing with those it
-was fitted to; *own*: those of the presets, other scenes. Told: the maker's table, height and attitude; rings; nothing
+was fitted to; *own*: those of the presets, other scenes. Given: the maker's table, height and attitude; rings; nothing
 but points. The calibration error is over all cells whose truth is known, as far as the sensor sees a dark target; the
 doubt is judged where beams aim. Both say the same of what is visible, so that they have one F1."""
 
@@ -67,7 +67,7 @@ def make_file(folder: Path, scenes: list[WildScene]) -> None:
             seen, rng = scene.observe(number), scene.rng(101, number)
             grid = seen.truth.grid
             known = np.flatnonzero(seen.known & (polar_of_cells(grid)[0] <= reach_of(seen)))
-            leveled = level(seen.told(TOLD[(scene.number + number) % len(TOLD)]), grid)
+            leveled = level(seen.given(GIVEN[(scene.number + number) % len(GIVEN)]), grid)
             for name, target in TARGETS.items():
                 is_own = (name == "car") == (scene.domain.name == "road")
                 if (is_own or rng.random() < OTHER_SHARE) and len(known):
@@ -150,8 +150,8 @@ def judge(given: argparse.Namespace) -> None:
     for set_name, (domain, target) in product(("development", "own"), PARTS.items()):
         for scene in wild_scenes(set_name, domain):
             seen = scene.observe(0)
-            for told in TOLD:
-                sample = seen.sample(told)
+            for knowledge in GIVEN:
+                sample = seen.sample(knowledge)
                 leveled = level(sample.sweep, seen.truth.grid)
                 calibrated = ShadowMap(seen.truth.grid, TARGETS[target]).estimate(leveled)
                 counts = beam_evidence(leveled, seen.truth.grid, TARGETS[target]).visible_prob
@@ -159,12 +159,14 @@ def judge(given: argparse.Namespace) -> None:
                     rows.append(row_of(seen, sample, estimate, leveled, method))
     every = Pool(pd.DataFrame(rows))
     lines = []
-    for set_name, domain, told in product(("development", "own"), PARTS, TOLD):
-        both = [every.of(set_name=set_name, domain=domain, told=told, method=name) for name in (COUNTED, CALIBRATED)]
+    for set_name, domain, knowledge in product(("development", "own"), PARTS, GIVEN):
+        both = [
+            every.of(set_name=set_name, domain=domain, told=knowledge, method=name) for name in (COUNTED, CALIBRATED)
+        ]
         f1 = format_rates(both[1].counts.f1)
         eces = " → ".join(format_rates(pool.ece()) for pool in both)
         aurocs = " → ".join(format_rates(pool.mean("auroc")) for pool in both)
-        lines.append((f"{domain}, {set_name}, {told}", str(len(both[0].names("scene"))), f1, eces, aurocs))
+        lines.append((f"{domain}, {set_name}, {knowledge}", str(len(both[0].names("scene"))), f1, eces, aurocs))
     header = ("place", "scenes", "F1", "calibration error", "AUROC of the doubt")
     picture = "calibration_reliability.png"
     text = page(
@@ -172,7 +174,7 @@ def judge(given: argparse.Namespace) -> None:
         facts(seeds="those of data/wild_sets.toml"),
         WORDS,
         "## Counted and calibrated\n\n" + table(header, lines),
-        f"![Share of cells that are visible over the probability said, development roads, rings given]({picture})",
+        f"![Share of cells that are visible over the stated probability, development roads, rings given]({picture})",
     )
     roads = every.of(set_name="development", domain="road", told="rings")
     (given.page / picture).write_bytes(reliability_of(roads))

@@ -54,7 +54,7 @@ def make_file(folder: Path, scenes: list[WildScene]) -> None:
             continue
         number = scene.number % scene.domain.sweeps
         seen, rng = scene.observe(number), scene.rng(100, number)
-        given = seen.told(("rings", "rings", "nothing")[scene.number % 3])
+        given = seen.given(("rings", "rings", "nothing")[scene.number % 3])
         whole = level(given, seen.truth.grid)
         for absorbs, loses, covered in VARIANTS:
             keep, windows, sweep = np.ones(len(given), np.bool_), np.zeros((0, 4)), given

@@ -15,11 +15,10 @@ import argparse
 import re
 import subprocess
 import sys
-import tomllib
 from pathlib import Path
 
 from viewshed_lab._page import sources_hash, table
-from viewshed_lab._results import result_pages
+from viewshed_lab._results import result_pages, sources_in
 
 ROOT = Path(__file__).resolve().parents[1]
 FOLDER = ROOT / "docs" / "results"
@@ -60,9 +59,7 @@ def rebind(commit: str) -> list[str]:
     """Bind the pages that were not older at a commit to the files of now; return their names."""
     paths = _git("ls-tree", "-r", "--name-only", commit).splitlines()
     (settings,) = [path for path in paths if path.endswith("/result_pages.toml")]
-    then = {
-        page["title"]: page.get("sources", []) for page in tomllib.loads(_git("show", f"{commit}:{settings}"))["page"]
-    }
+    then = sources_in(_git("show", f"{commit}:{settings}"))
     bound = []
     for page in result_pages().values():
         before, now = sources_hash(then.get(page.title, []), commit), sources_hash(page.sources)

@@ -4,6 +4,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 PACKAGE = '''
@@ -37,6 +38,7 @@ def read_lines(source, frame) -> Iterator[Columns]:
 
 LINES = Format(read_lines, (".lines",))
 TABLE = Path(__file__).with_name("two_rings.toml")
+SENSOR_ROWS = 2
 '''
 
 SENSOR = """name = "Two rings"
@@ -54,6 +56,23 @@ lines = newcomer:LINES
 [viewshed.sensors]
 two_rings = newcomer:TABLE
 """
+
+STALE = """[viewshed.commands]
+broken = nosuchpkg.cli:app
+renamed = newcomer:gone
+number = newcomer:SENSOR_ROWS
+
+[viewshed.estimators]
+near_by = newcomer:SENSOR_ROWS
+
+[viewshed.formats]
+lines = newcomer:LINES
+packets = newcomer:SENSOR_ROWS
+
+[viewshed.sensors]
+two_rings = newcomer:SENSOR_ROWS
+"""
+"""What a package of another version names: modules and attributes that are gone, or things of another kind."""
 
 
 @pytest.fixture
@@ -93,3 +112,39 @@ def test_the_command_line_knows_them_as_well_and_lists_them(installed: Path) -> 
     assert "(near_by, " in done.stdout
     assert done.returncode == 2
     assert "near_by, got 'far_off'" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("words", "point", "problem"),
+    [
+        ("broken", "commands 'broken'", "No module named 'nosuchpkg'"),
+        ("renamed", "commands 'renamed'", "module 'newcomer' has no attribute 'gone'"),
+        ("number", "commands 'number'", "it must name a function or a typer.Typer, got 2"),
+        ("estimate a.npy --method near_by",
+         "estimators 'near_by'", "it must name a class or a function, got 2"),
+        ("estimate a.npy --sensor two_rings",
+         "sensors 'two_rings'", "it must name the path of a TOML file, got 2"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_loaded_is_named_with_its_package_when_it_is_used(
+    installed: Path, words: str, point: str, problem: str
+) -> None:
+    _make_stale(installed)
+    done = run(installed, f"from viewshed.cli import main\nmain({words.split()})")
+    assert done.returncode == 2, done.stderr
+    said = f"entry point viewshed.{point} of newcomer cannot be loaded: {problem}; uninstall or update newcomer"
+    assert done.stderr.splitlines()[-1].endswith(said)
+    assert "Traceback" not in done.stderr
+
+
+def test_what_cannot_be_loaded_hinders_no_other_command_and_no_other_format(installed: Path) -> None:
+    _make_stale(installed)
+    assert run(installed, "from viewshed.cli import main\nmain(['--help'])").returncode == 0
+    done = run(installed, "from viewshed.cli import main\nmain(['info', 'a.lines'])")
+    assert done.returncode == 0, done.stderr
+    assert "warning: format 'packets' is left out: entry point viewshed.formats 'packets' of newcomer" in done.stderr
+
+
+def _make_stale(installed: Path) -> None:
+    (installed / "newcomer-1.0.dist-info" / "entry_points.txt").write_text(STALE)
+    np.save(installed / "a.npy", np.array([[5.0, 1.0, -1.5], [0.0, 7.0, -1.5]], dtype=np.float32))

@@ -76,7 +76,7 @@ GOOD: dict[str, dict[str, Any]] = {
         "variance_m2": 0.0025, "plane": (0.0, 0.0, -1.8), "height_m": 0.0},
     "identify_sensor": {"points": POINTS, "ring": None, "is_inferred": True, "expected": -1,
                         "held_elevation": TABLE["elevation"], "held_origin_m": TABLE["origin_m"]} | TABLE,
-    "infer_sensor": {"points": POINTS, "ring": None}, "find_motion": {"points": POINTS},
+    "infer_sensor": {"points": POINTS, "ring": None},
     "recover_rings": {"points": POINTS, "ring": None, "columns": 1800} | TABLE,
     "match_beams": {"slope": LONG, "range_m": LONG} | TABLE,
     "find_clusters": {"azimuth": LONG, "slope": LONG, "range_m": LONG}, "polar": {"points": POINTS},
@@ -87,7 +87,6 @@ GOOD: dict[str, dict[str, Any]] = {
         "origin_y_m": 0.0, "cell_m": 1.0, "in_view": np.ones((4, 4), F4), "whole": np.ones((4, 4), F4)},
     "azimuth_bins_filled": {"azimuth": LONG},
     "farthest_in_bins": {"azimuth": LONG, "range_m": LONG, "bins": 5, "drop": 0},
-    "ranges_in_bins": {"azimuth": LONG, "range_m": LONG, "height_m": LONG, "low_m": 0.0, "high_m": 1.0},
     "first_blocker": {"azimuth": LONG, "range_m": LONG, "height_m": LONG, "low_m": 0.0, "high_m": 1.0, "bins": None,
                       "rank": 1, "median_bins": 0, "reach_m": None, "margin_m": 0.0},
     "cells_within": {"limit_m": np.zeros(90, F4), "cell_bin": BINS} | CELLS,
@@ -140,7 +139,7 @@ GOOD: dict[str, dict[str, Any]] = {
 OF_VIEWS = ("surface_cells", "visible_before", "look_at_boxes", "compare_view", "compare_past")
 ANY_LENGTH = {
     "level_points": ("points",), "vehicle_heading": ("points",), "identify_sensor": ("points",),
-    "infer_sensor": ("points",), "find_motion": ("points",), "recover_rings": ("points",),
+    "infer_sensor": ("points",), "recover_rings": ("points",),
     "polar": ("points",), "azimuth_bins_filled": ("azimuth",), "fill_rings": ("edges",),
     "mean_and_deviation": ("probability",), "best_sectors": ("ranges",),
     "star_vertices": ("ranges",), "beam_evidence": ("table",), "calibrated_prob": ("table",),
@@ -303,7 +302,6 @@ def azimuth_answers(azimuth: NDArray[np.float32], range_m: NDArray[np.float32]) 
         np.array([_core.azimuth_bins_filled(azimuth)], F4),
         *(_core.farthest_in_bins(azimuth, range_m, bins, 0) for bins in (None, 1, 36, 777)),
         _core.farthest_in_bins(azimuth, range_m, 360, 3),
-        *_core.ranges_in_bins(azimuth, range_m, height_m, 0.3, 3.0),
         _core.first_blocker(azimuth, range_m, height_m, 0.3, 3.0, None, 2, 5, None, 0.5),
         _core.first_blocker(azimuth, range_m, height_m, -0.5, 0.5, 216, 1, 0, 40.0, 0.0),
         _core.cells_within(_core.farthest_in_bins(azimuth, range_m, 360, 0), cells[0], bins_of_cells(BIG, 360)),
@@ -375,7 +373,6 @@ SENSOR_CALLS: dict[str, Callable[[Any], Any]] = {
     ),
     "recover_rings by a table": lambda points: call("recover_rings", points=points),
     "find_clusters": lambda points: _core.find_clusters(*_core.polar(points)),
-    "find_motion": lambda points: call("find_motion", points=points),
 }
 
 

@@ -151,14 +151,28 @@ def test_a_command_or_a_name_of_the_laboratory_names_it_where_it_is_not_installe
     done = _without_laboratory("from viewshed.cli import main; main(['study', 'wild', '--preset', 'tiny'])", tmp_path)
     assert (done.returncode, done.stderr.count("\n")) == (2, 1)
     assert "viewshed study needs viewshed-lab: pip install viewshed-lab" in done.stderr
+    done = _without_laboratory("from viewshed.cli import main; main(['--help'])", tmp_path)
+    assert re.search(r"simulate, label, .*, study: pip install viewshed-lab", " ".join(done.stdout.split()))
     done = _without_laboratory("import viewshed; viewshed.Archive", tmp_path)
     assert "ImportError: viewshed.Archive needs viewshed-lab: pip install viewshed-lab" in done.stderr
+    done = _without_laboratory("import viewshed.sim.worlds", tmp_path)
+    assert "ImportError: viewshed.sim needs viewshed-lab: pip install viewshed-lab" in done.stderr
+
+
+_ALONE = """
+import importlib.metadata, sys
+importlib.metadata.entry_points = lambda **of: ()
+class Absent:
+    def find_spec(name, *_):
+        if name.partition(".")[0] == "viewshed_lab":
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+sys.meta_path.insert(0, Absent)
+"""
 
 
 def _without_laboratory(code: str, folder: Path) -> subprocess.CompletedProcess[str]:
-    """Run code where no installed package adds anything to viewshed."""
-    alone = "import importlib.metadata; importlib.metadata.entry_points = lambda **of: ()\n"
-    command = [sys.executable, "-c", alone + code]
+    """Run code where the laboratory is not installed and no package adds anything to viewshed."""
+    command = [sys.executable, "-c", _ALONE + code]
     return subprocess.run(command, check=False, capture_output=True, text=True, cwd=folder)
 
 

@@ -61,11 +61,24 @@ class ResultPage:
 def result_pages() -> dict[str, ResultPage]:
     """Return the description of each page, by title."""
     text = resources.files("viewshed_lab").joinpath("result_pages.toml").read_text(encoding="utf-8")
-    pages = [
-        ResultPage(**{**page, "numbers": [KeyNumber(**number) for number in page.get("numbers", [])]})
+    sources = sources_in(text)
+    return {
+        page["title"]: ResultPage(**{
+            **page, "numbers": [KeyNumber(**number) for number in page.get("numbers", [])],
+            "sources": sources[page["title"]],
+        })
         for page in tomllib.loads(text)["page"]
-    ]
-    return {page.title: page for page in pages}
+    }  # fmt: skip
+
+
+def sources_in(text: str) -> dict[str, list[str]]:
+    """Return the sources of each page by title, from the text of a ``result_pages.toml``; a set gives what it holds."""
+    settings = tomllib.loads(text)
+    sets = settings.get("sets", {})
+    return {
+        page["title"]: [path for name in page.get("sources", []) for path in sets.get(name, [name])]
+        for page in settings["page"]
+    }
 
 
 def with_numbers(title: str, facts: str, body: str) -> str:

@@ -12,9 +12,9 @@ from viewshed_lab._jobs import LocalEngine
 from viewshed_lab.data.archive.build import ShardResult
 from viewshed_lab.data.archive.storage import Storage
 from viewshed_lab.data.wild import (
+    GIVEN,
     OPEN_SEALED,
     SETS,
-    TOLD,
     WildObservation,
     WildScene,
     check_apart,
@@ -43,8 +43,8 @@ def first_scenes(count: int = 6) -> list[WildScene]:
 def digest(seen: WildObservation) -> str:
     """Return what is the same for two observations only if all their bytes are."""
     out = sha256()
-    for told in TOLD:
-        sample = seen.sample(told)
+    for given in GIVEN:
+        sample = seen.sample(given)
         sweep = sample.sweep
         for array in (sweep.points, sweep.ring, sweep.time_s, sweep.intensity, sample.known, sample.ground_m):
             out.update(b"-" if array is None else np.ascontiguousarray(array).tobytes())
@@ -105,7 +105,7 @@ def test_bytes_follow_from_the_seed_in_any_order() -> None:
 @pytest.mark.parametrize("scene", first_scenes(), ids=lambda scene: scene.name)
 def test_a_sample_says_what_it_is_told_and_no_more(scene: WildScene) -> None:
     seen = scene.observe(0)
-    table, rings, nothing = (seen.told(told) for told in TOLD)
+    table, rings, nothing = (seen.given(given) for given in GIVEN)
     assert len(table) == len(rings) == len(nothing) > 50
     assert (nothing.ring, nothing.model, nothing.intensity, nothing.time_s) == (None,) * 4
     for sweep in (rings, nothing):
@@ -149,7 +149,7 @@ def test_an_archive_goes_on_to_the_same_bytes_and_gives_the_samples_back(tmp_pat
     assert whole.splits == ("development",)
     assert split_of_set("training") == "train"
     sample, seen = whole[0], wild_scenes("development", "road")[0].observe(0)
-    assert sample.sweep.points.tobytes() == seen.told("rings").points.tobytes()
+    assert sample.sweep.points.tobytes() == seen.given("rings").points.tobytes()
     assert (sample.truth.expected_returns["car"] == seen.truth.expected_returns["car"]).all()
     assert (sample.known == seen.known).all()
 

@@ -37,14 +37,14 @@ def test_the_mixture_is_a_distribution() -> None:
 def test_most_labels_are_where_something_proposed_stands() -> None:
     scene = wild_scenes("training", "road")[1]
     seen = scene.observe(0)
-    made = samples_of(seen, level(seen.told("rings"), seen.truth.grid), np.zeros((0, 4)), None)
+    made = samples_of(seen, level(seen.given("rings"), seen.truth.grid), np.zeros((0, 4)), None)
     assert made is not None
     stopped = made.end < LOG_NONE
     nearest = np.abs(made.stop - made.end[:, None]).min(axis=1)
     assert stopped.sum() > 1000
     # A tenth of an octave is 7 % of the range.
     assert np.mean(nearest[stopped] < 0.1) > 0.7
-    blind = samples_of(seen, level(seen.told("rings"), seen.truth.grid), np.array([[0.0, 0.0, 4.0, 2.0]]), 0.6)
+    blind = samples_of(seen, level(seen.given("rings"), seen.truth.grid), np.array([[0.0, 0.0, 4.0, 2.0]]), 0.6)
     assert blind is not None
     assert (blind.end <= np.log2(0.6) + 1e-6).all()
 

@@ -99,7 +99,7 @@ std::int32_t map_step(double along_m, double cell_m, std::int32_t last) {
 // Boxes are looked at a little larger than they are, and a meter around that.
 constexpr double MARGIN_M = 0.25, RING_M = 1.0;
 
-// What lies this deep in a box, from the side toward the sensor, is its near side: a part of its depth, at least so many meters.
+// What lies this deep in a box, from the side toward the sensor, is its near side: a part of its depth, at least this many meters.
 constexpr double NEAR_PART = 0.4, NEAR_M = 0.8;
 
 // Of a box without a surface.

@@ -11,10 +11,10 @@ constexpr float CELL_M = 0.5f;
 // Cells farther than this are neither held against a sweep nor remembered: too few beams meet them.
 constexpr float FARTHEST_M = 45.0f, REMEMBERED_M = 60.0f;
 
-// A cell is forgotten when no obstacle was seen there for so long; sooner where sweeps look through it.
+// A cell is forgotten when no obstacle was seen there for this long; sooner where sweeps look through it.
 constexpr double FORGET_S = 10.0, GONE_S = 0.5;
 
-// A surface stands if it was seen for so long, in so many of the sweeps that looked, and a moment ago.
+// A surface stands if it was seen for this long, in enough of the sweeps that looked, and a moment ago.
 constexpr double STANDS_S = 1.0, MOMENT_S = 0.35;
 constexpr float MOST_FREE = 0.05f, LEAST_OCCUPIED = 8.0f;
 

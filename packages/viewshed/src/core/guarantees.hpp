@@ -64,7 +64,7 @@ Buffer<float> nearest_returns(View2<const float> points, View1<const std::int16_
                               View1<const float> tangent, View1<const float> origin_m, std::size_t columns, double near_m,
                               double far_m);
 
-// So many columns of a ring without a near return are closed between two that have one.
+// This many columns of a ring without a near return are closed between two that have one.
 constexpr std::size_t GAP = 4;
 
 // Nearest ranges (rings, 2 * columns) with gaps of up to GAP columns closed.

@@ -6,7 +6,7 @@ laboratory ``viewshed-lab``, adds commands, estimators, formats, sensors and mor
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any
@@ -62,6 +62,39 @@ def plugins(group: str) -> dict[str, EntryPoint]:
     return {point.name: point for point in entry_points(group=f"viewshed.{group}")}
 
 
+def load(point: EntryPoint, fits: Callable[[Any], bool] | None = None, kind: str = "") -> Any:
+    """Return what an entry point names.
+
+    Args:
+        point: of an installed package.
+        fits: whether what was loaded can be used; None takes anything.
+        kind: what must be named, for the message: ``"a function"``.
+
+    Raises:
+        ImportError: it cannot be loaded, or is of another kind.
+    """
+    try:
+        loaded = point.load()
+        if fits is not None and not fits(loaded):
+            raise TypeError(f"it must name {kind}, got {loaded!r}")
+    except Exception as error:  # the code of another package may raise anything
+        if isinstance(error, ModuleNotFoundError) and str(error.name).partition(".")[0] in EXTRAS:
+            raise  # needed_for names what brings it
+        package = point.dist.name if point.dist is not None else "the package"
+        problem = " ".join(str(error).split()) or type(error).__name__
+        raise ImportError(
+            f"entry point {point.group} {point.name!r} of {package} cannot be loaded: {problem};"
+            f" uninstall or update {package}"
+        ) from error
+    return loaded
+
+
+def needs_laboratory(task: str) -> ImportError:
+    """Return the error of a task that needs the laboratory where it is not installed."""
+    install = f"pip install {LABORATORY} (in a checkout: pip install packages/{LABORATORY})"
+    return ImportError(f"{task} needs {LABORATORY}: {install}", name="viewshed_lab")
+
+
 def plugin(group: str, name: str, task: str) -> Any:
     """Return what an installed package adds under a name of a group.
 
@@ -71,10 +104,9 @@ def plugin(group: str, name: str, task: str) -> Any:
         task: what needs it, the beginning of the message: ``--attack``.
 
     Raises:
-        ImportError: no installed package has it.
+        ImportError: no installed package has it, or it cannot be loaded.
     """
     point = plugins(group).get(name)
     if point is None:
-        install = f"pip install {LABORATORY} (in a checkout: pip install packages/{LABORATORY})"
-        raise ImportError(f"{task} needs {LABORATORY}: {install}", name="viewshed_lab")
-    return point.load()
+        raise needs_laboratory(task)
+    return load(point)

@@ -10,6 +10,8 @@ from importlib.machinery import ModuleSpec
 from importlib.util import spec_from_loader
 from types import ModuleType
 
+from viewshed._extras import needs_laboratory
+
 _OBJECTS = (
     "before", "calibration", "cells", "evidence", "explained", "jumps", "memory", "object_stream", "sensor_view",
     "single",
@@ -60,7 +62,12 @@ class _NowAt(Loader):
 
     def create_module(self, spec: ModuleSpec) -> ModuleType:
         warnings.warn(f"{spec.name} is now {self._now}", DeprecationWarning, stacklevel=2)
-        module = import_module(self._now)
+        try:
+            module = import_module(self._now)
+        except ModuleNotFoundError as error:
+            if error.name != "viewshed_lab":
+                raise
+            raise needs_laboratory(spec.name) from error
         self._spec = module.__spec__
         return module
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from viewshed._extras import plugins
+from viewshed._extras import load, plugins
 
 MAX_RINGS = 4096
 
@@ -235,7 +235,9 @@ def lidar_model(name: str) -> LidarModel:
     added = plugins("sensors")
     for known, point in added.items():
         if _plain(known) == _plain(name):
-            return LidarModel.from_toml(point.load())
+            return LidarModel.from_toml(
+                load(point, lambda path: isinstance(path, str | Path), "the path of a TOML file")
+            )
     names = ", ".join([*sensor_names(), *added])
     raise ValueError(f"sensor must be one of {names} or a TOML file, got {name!r}")
 

@@ -79,6 +79,7 @@ REFUSED = {
     "estimate no.bin": "no.bin: No such file", "replay no.mcap": "no.mcap: no such file",
     "estimate empty.bin": "empty.bin: the file is empty", "estimate words.bin": "words.bin",
     "info transposed.npy": "; transpose it (",
+    "estimate s3://bucket/sweep.bin": "s3://bucket/sweep.bin must be a file or a folder, got an address; copy",
     # Folders, patterns and bags.
     "estimate .": ". is a folder without sweeps and no recording (nuscenes, kitti_raw,",
     "estimate text": "sweeps end in .pcd.bin, .bin, .pcd", "estimate above": "s has some",

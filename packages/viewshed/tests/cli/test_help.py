@@ -9,7 +9,7 @@ from typer.main import get_command
 
 from viewshed.cli import application
 
-ODD = ("in the box", "else as", "in bytes", "told", "asked for", "of sim:", "less it", "every so many", "of a network:")
+ODD = ("in the box", "else as", "in bytes", "told", "asked for", "of sim:", "less it", "so many", "of a network:")
 """Words that a reader of the first hour stumbled over, and the like."""
 
 

@@ -115,7 +115,7 @@ BAD = {
     "members.bin.gz": (gzip.compress(b"", mtime=0) * 50_001, "gzip content must have at most 50000 members"),
     "after.bin.gz": (gzip.compress(files.rows(TABLE)) + b"garbage", "the gzip content is damaged or cut off"),
     "cut.feather": (SAMPLES["argoverse2 lz4"].content[:400], "feather content is damaged or cut off"),
-    "bag.db3": (b"SQLite format 3\x00" + bytes(100), "is a ROS 2 bag .*open_source"),
+    "bag.db3": (b"SQLite format 3\x00" + bytes(100), "is a ROS 2 bag .*viewshed.open_recording$"),
     "new.pcap": (b"\x0a\x0d\x0d\x0a" + bytes(100), "is a pcapng capture"),
     "none.pcap": (files.pcap([files.ip_packet(files.udp_packet(b"abc"))]), "holds no Velodyne packets; if it is an O"),
     "cut.pcap": (SAMPLES["velodyne pcap"].content[:900], "packet capture is cut off"),

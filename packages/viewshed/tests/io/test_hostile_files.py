@@ -101,7 +101,7 @@ def ros1_indexes(entries: int = 1_000_000, infos: int = 500, packing: bytes = b"
 
 
 def ros1_chunk(size: int = 256 << 20) -> bytes:
-    """Return a bag of one message in a chunk of so many zeros."""
+    """Return a bag of one message in a chunk of this many zeros."""
     packer = bz2.BZ2Compressor(9)
     packed = b"".join(packer.compress(bytes(1 << 20)) for _ in range(size >> 20)) + packer.flush()
     return ros1_indexes(1, 1, b"bz2", packed)

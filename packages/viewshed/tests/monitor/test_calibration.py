@@ -132,16 +132,31 @@ def test_a_file_brings_it_back_and_a_damaged_one_is_refused(tmp_path: Path) -> N
     assert_array_equal(again.changes.values, made.changes.values)
     assert again.p_value(3.0) == made.p_value(3.0)
     path.write_bytes(path.read_bytes()[:300])
-    with pytest.raises(ValueError, match=r"must be a whole monitor file of this version, got: .*; calibrate it again"):
+    with pytest.raises(ValueError, match=r"must be a whole monitor file of this version, got: .*; make it again"):
         load_calibration(path)
 
 
-def test_a_calibration_of_other_evidence_is_refused(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"evidence": "0123456789abcdef"}, "a monitor of evidence 0123456789abcdef"),
+        (
+            {"version": 6, "evidence": None},
+            r"a monitor of format 6 \(this version reads 8\); make it again: .* calibrate ",
+        ),
+        (None, "got: no monitor; make it again"),
+    ],
+)
+def test_a_calibration_of_other_evidence_or_of_another_format_is_refused(
+    changes: dict[str, object] | None, said: str, tmp_path: Path
+) -> None:
     path = tmp_path / "made.npz"
     save_calibration(shipped_calibration(), path)
     arrays = dict(np.load(path))
-    about = json.loads(arrays["about"].tobytes()) | {"evidence": "0123456789abcdef"}
-    arrays["about"] = np.frombuffer(json.dumps(about).encode(), np.uint8)
+    about = json.loads(arrays.pop("about").tobytes())
+    if changes is not None:
+        kept = {name: value for name, value in (about | changes).items() if value is not None}  # 0.3 had no evidence
+        arrays["about"] = np.frombuffer(json.dumps(kept).encode(), np.uint8)
     np.savez_compressed(path, **arrays)
-    with pytest.raises(ValueError, match="of evidence 0123456789abcdef, not"):
+    with pytest.raises(ValueError, match=said):
         load_calibration(path)

@@ -149,7 +149,10 @@ def test_another_version_and_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyP
     monkeypatch.setattr("viewshed.monitor.deviation.FORMAT_VERSION", 2)
     save_monitor(_monitor(), tmp_path / "new.npz")
     monkeypatch.undo()
-    with pytest.raises(ValueError, match="monitor deviation of version 2, not deviation of 1; fit it again"):
+    with pytest.raises(ValueError, match=r"a monitor of format 2 \(this version reads 1\); make it again: .* fit "):
         load_monitor(tmp_path / "new.npz")
+    np.savez(tmp_path / "other.npz", thresholds=np.zeros(3))
+    with pytest.raises(ValueError, match="got: no monitor; make it again"):
+        load_monitor(tmp_path / "other.npz")
     with pytest.raises(FileNotFoundError):
         load_monitor(tmp_path / "none.npz")

@@ -41,21 +41,23 @@ def _rings(columns: int) -> LeveledSweep:
 @pytest.mark.parametrize("columns", [2000, 330, 130, 7])
 def test_ranges_are_those_of_the_returns_of_each_bin(columns: int) -> None:
     leveled = _rings(columns)
-    farthest_m, blocker_m = _core.ranges_in_bins(
-        leveled.azimuth, leveled.range_m, leveled.height_m, *OBSTACLE_HEIGHTS_M
+    farthest_m = _core.farthest_in_bins(leveled.azimuth, leveled.range_m, None, 0)
+    limit_m = _core.first_blocker(
+        leveled.azimuth, leveled.range_m, leveled.height_m, *OBSTACLE_HEIGHTS_M, None, 1, 0, None, 0.0
     )
-    assert len(farthest_m) == len(blocker_m) == measured_azimuth_bins(leveled.azimuth)
+    assert len(farthest_m) == len(limit_m) == measured_azimuth_bins(leveled.azimuth)
     bins = azimuth_bins_of(leveled.azimuth, len(farthest_m))
     obstacle = (leveled.height_m > OBSTACLE_HEIGHTS_M[0]) & (leveled.height_m < OBSTACLE_HEIGHTS_M[1])
     plain = np.full(len(farthest_m), -1.0, np.float32), np.full(len(farthest_m), np.inf, np.float32)
     np.maximum.at(plain[0], bins, leveled.range_m)
     np.minimum.at(plain[1], bins[obstacle], leveled.range_m[obstacle])
     assert np.array_equal(farthest_m, plain[0])
-    assert np.array_equal(blocker_m, plain[1])
+    assert np.array_equal(limit_m, np.where(plain[0] < 0.0, -1.0, np.minimum(*plain)))
 
 
 def test_bins_without_returns_have_no_range() -> None:
     nothing = np.zeros(0, np.float32)
-    farthest_m, blocker_m = _core.ranges_in_bins(nothing, nothing, nothing, *OBSTACLE_HEIGHTS_M)
-    assert np.isposinf(blocker_m).all()
-    assert (farthest_m == -1.0).all()
+    for bins in (None, 36):
+        assert (_core.farthest_in_bins(nothing, nothing, bins, 0) == -1.0).all()
+        limit_m = _core.first_blocker(nothing, nothing, nothing, *OBSTACLE_HEIGHTS_M, bins, 1, 0, None, 0.0)
+        assert (limit_m == -1.0).all()

@@ -22,7 +22,7 @@ SCENES = wild_scenes("development", "road")[:8]
 @lru_cache(maxsize=len(SCENES))
 def observed(at: int) -> tuple[WildObservation, LeveledSweep]:
     seen = SCENES[at].observe(0)
-    return seen, level(seen.told("rings"), seen.truth.grid)
+    return seen, level(seen.given("rings"), seen.truth.grid)
 
 
 def expected_error(prob: NDArray[np.float32], visible: NDArray[np.bool_]) -> float:

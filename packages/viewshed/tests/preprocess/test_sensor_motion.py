@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 from tests.preprocess.random_sensors import random_sensor, right_share, rosette
 
-from viewshed import Sweep, _core
+from viewshed import Sweep
 from viewshed.arrays import F32
 from viewshed.preprocess.sensor_identification import identify_sensor
 from viewshed.sensors import LidarModel
@@ -54,9 +54,6 @@ def uneven(rings: int = 24) -> LidarModel:
 def test_a_motion_is_found_and_undone(seam: float, reference: float, way_m: tuple[float, ...]) -> None:
     true = SensorMotion(np.array(way_m), seam, reference)
     points, ring = measured(uneven(), true, np.random.default_rng(1))
-    found = _core.find_motion(points)
-    assert found[3:] == (seam, reference)
-    assert found[:3] == pytest.approx(way_m, abs=0.12)
     inferred = identify_sensor(Sweep(points)).ring
     assert right_share(inferred, ring) > 0.96  # near the seam a point may be of either end of the revolution
 
@@ -77,4 +74,4 @@ def test_random_sensors_that_move_show_their_rings_or_none_and_are_given_no_name
 
 @pytest.mark.parametrize("seed", range(4))
 def test_no_motion_makes_rings_of_a_pattern_that_has_none(seed: int) -> None:
-    assert _core.find_motion(rosette(np.random.default_rng(seed))) is None
+    assert identify_sensor(Sweep(rosette(np.random.default_rng(seed)))).ring is None

@@ -129,7 +129,7 @@ def wild(
     ],
     domain: Annotated[str, typer.Argument(metavar="GRID", help="road or indoor.")],
     out: Annotated[str | None, typer.Option(help="Folder or URI; SET-GRID if not given.")] = None,
-    told: Annotated[
+    given: Annotated[
         str,
         typer.Option("--known", help="What sweeps say of their sensor, in turn: table (its beams), rings, nothing."),
     ] = "rings,nothing",
@@ -145,8 +145,8 @@ def wild(
     from viewshed_lab.data.wild import make_wild_archive
 
     store = Storage.of(out or f"{set_name}-{domain}")
-    names = tuple(told.split(","))
-    archive = make_wild_archive(set_name, domain, store, LocalEngine(workers), told=names, scenes=scenes)
+    names = tuple(given.split(","))
+    archive = make_wild_archive(set_name, domain, store, LocalEngine(workers), given=names, scenes=scenes)
     typer.echo(_summary(archive))
 
 

@@ -48,7 +48,7 @@ SEALED = "sealed"
 OPEN_SEALED = "I open the sealed set for a final table, and log it"
 """What one must say to get samples of the sealed set."""
 
-TOLD = ("table", "rings", "nothing")
+GIVEN = ("table", "rings", "nothing")
 """What a sweep says beside its points. ``table``: ring, time and intensity, the maker's beam table, height and attitude
 where the points lie in the sensor's frame. ``rings``: ring, time and intensity. ``nothing``: no more than points."""
 
@@ -262,27 +262,27 @@ class WildObservation:
     world: World  # where
     agent: Agent  # who measured
 
-    def told(self, told: str) -> Sweep:
-        """Return the sweep that says no more than ``told``.
+    def given(self, given: str) -> Sweep:
+        """Return the sweep that says no more than ``given``.
 
         Raises:
-            ValueError: ``told`` is not of ``TOLD``.
+            ValueError: ``given`` is not of ``GIVEN``.
         """
-        one_of("told", told, TOLD)
-        if told == "nothing":
+        one_of("given", given, GIVEN)
+        if given == "nothing":
             return bare_points(self.delivered)
         sweep = self.delivered.replace(world_from_sensor=None, sensor_height_m=None, attitude=None, azimuth=None)
-        if told == "rings":
+        if given == "rings":
             return sweep.replace(model=None)
         if self.mounting.family.frame == "base":
             return sweep
         return sweep.replace(sensor_height_m=self.origin_height_m, attitude=self.attitude)
 
-    def sample(self, told: str) -> WildSample:
-        """Return the sample that says no more than ``told``."""
+    def sample(self, given: str) -> WildSample:
+        """Return the sample that says no more than ``given``."""
         return WildSample(
-            self.told(told), self.truth, self.known, self.ground_m, self.origin_height_m, self.attitude,
-            self.scene.style, self.scene.sensor, self.scene.mounting, told, self.scene.name,
+            self.given(given), self.truth, self.known, self.ground_m, self.origin_height_m, self.attitude,
+            self.scene.style, self.scene.sensor, self.scene.mounting, given, self.scene.name,
         )  # fmt: skip
 
 
@@ -301,7 +301,7 @@ class WildSample:
     style: str  # kind of world
     sensor: str  # family, or beam table
     mounting: str  # family
-    told: str  # of ``TOLD``
+    given: str  # of ``GIVEN``
     scene: str  # its name; splits never cut through a scene
 
     @property
@@ -339,17 +339,17 @@ def wild_scenes(set_name: str, domain: str | None = None, *, unseal: str = "") -
 def wild_samples(
     set_name: str,
     domain: str | None = None,
-    told: tuple[str, ...] = ("rings", "nothing"),
+    given: tuple[str, ...] = ("rings", "nothing"),
     *,
     count: int | None = None,
     unseal: str = "",
 ) -> Iterator[WildSample]:
-    """Yield the samples of a set, scene after scene, each sweep once for each of ``told``.
+    """Yield the samples of a set, scene after scene, each sweep once for each of ``given``.
 
     Args:
         set_name: of ``SETS``.
         domain: ``road`` or ``indoor``; both if left out.
-        told: of ``TOLD``.
+        given: of ``GIVEN``.
         count: at most this number of sweeps, the first ones.
         unseal: as for :func:`wild_scenes`.
 
@@ -360,7 +360,7 @@ def wild_samples(
     sweeps = [(scene, sweep) for scene in scenes for sweep in range(scene.domain.sweeps)]
     for scene, sweep in sweeps[:count]:
         seen = scene.observe(sweep)
-        yield from (seen.sample(one) for one in told)
+        yield from (seen.sample(one) for one in given)
 
 
 @lru_cache(maxsize=2)
@@ -373,12 +373,11 @@ def _mounted_world(scene: WildScene) -> tuple[World, Agent]:
     return mounting.mounted(WORLDS[scene.style](scene.rng(_FOR_WORLD), plan), 0)
 
 
-def _samples(scene: WildScene, told: tuple[str, ...], _: list[str]) -> Iterator[Sample]:
+def _samples(scene: WildScene, given: tuple[str, ...], _: list[str]) -> Iterator[Sample]:
     split = split_of_set(scene.domain.set_name)
     for sweep in range(scene.domain.sweeps):
         seen = scene.observe(sweep)
-        given = seen.told(told[(scene.number + sweep) % len(told)])
-        yield Sample(given, seen.truth, seen.known, scene.name, split)
+        yield Sample(seen.given(given[(scene.number + sweep) % len(given)]), seen.truth, seen.known, scene.name, split)
 
 
 def split_of_set(set_name: str) -> str:
@@ -392,7 +391,7 @@ def make_wild_archive(
     store: Storage,
     engine: Engine,
     *,
-    told: tuple[str, ...] = ("rings", "nothing"),
+    given: tuple[str, ...] = ("rings", "nothing"),
     scenes: int | None = None,
     on_progress: Callable[[ShardResult], None] | None = None,
 ) -> Archive:
@@ -406,7 +405,7 @@ def make_wild_archive(
         domain: ``road`` or ``indoor``.
         store: where it goes.
         engine: makes the shards.
-        told: of ``TOLD``: what the sweeps say beside their points, in turn.
+        given: of ``GIVEN``: what the sweeps say beside their points, in turn.
         scenes: at most this number of scenes, the first ones.
         on_progress: is called with each shard that is finished, also of an earlier run.
 
@@ -414,21 +413,30 @@ def make_wild_archive(
         ValueError: a name is unknown, the set is sealed or has no such domain, or the place holds something else.
         OSError: a shard could not be made or written; those that are finished stay.
     """
-    if not told or not set(told) <= set(TOLD):
-        raise ValueError(f"told must be one or more of {', '.join(TOLD)}, got {', '.join(told) or 'none'}")
+    if not given or not set(given) <= set(GIVEN):
+        raise ValueError(f"given must be one or more of {', '.join(GIVEN)}, got {', '.join(given) or 'none'}")
     chosen = wild_scenes(set_name, domain)[:scenes]
     if not chosen:
         raise ValueError(f"{set_name} must have a domain {domain!r}, got none; choose road or indoor")
     one = chosen[0].domain
     about = {"command": "dataset wild", "set": set_name, "domain": domain, "seed": one.seed}
-    config = flat.to_dict(one) | {"told": list(told), "scenes": len(chosen)}
+    config = flat.to_dict(one) | {"told": list(given), "scenes": len(chosen)}
     recipe = about | {"config": config, "targets": {name: asdict(target) for name, target in TARGETS.items()}}
-    jobs = [ShardJob(f"{scene.name}.parquet", partial(_samples, scene, told)) for scene in chosen]
+    jobs = [ShardJob(f"{scene.name}.parquet", partial(_samples, scene, given)) for scene in chosen]
     layout = Layout(one.grid, tuple(sorted(TARGETS)), ())
     return build_archive(recipe, layout, jobs, store, engine, on_progress)
 
 
 __all__ = [
-    "OPEN_SEALED", "SETS", "TOLD", "WildDomain", "WildObservation", "WildSample", "WildScene", "check_apart",
-    "wild_samples", "wild_scenes", "wild_tables",
+    "GIVEN",
+    "OPEN_SEALED",
+    "SETS",
+    "WildDomain",
+    "WildObservation",
+    "WildSample",
+    "WildScene",
+    "check_apart",
+    "wild_samples",
+    "wild_scenes",
+    "wild_tables",
 ]  # fmt: skip

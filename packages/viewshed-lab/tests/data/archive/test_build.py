@@ -21,7 +21,7 @@ class _StoppedError(Exception):
 
 
 def run(recording: Path, out: Path, stop_after: int = 9) -> list[str]:
-    """Return the lines that a run tells; it is stopped once so many shards are there."""
+    """Return the lines that a run tells; it is stopped once this many shards are there."""
     told: list[ShardResult] = []
 
     def progress(made: ShardResult) -> None:

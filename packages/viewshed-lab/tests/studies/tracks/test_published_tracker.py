@@ -22,7 +22,7 @@ LEFT = Polygon([(-50, 0), (50, 0), (50, 50), (-50, 50)])
 
 
 def _seen_from(tracker: Tracker, sweeps: int, *centers: tuple[float, float]) -> int:
-    """Let objects be found in so many sweeps, ten a second, and return the number of the next one."""
+    """Let objects be found in this many sweeps, ten a second, and return the number of the next one."""
     for k in range(sweeps):
         tracker.step(0.1 * k, cars(*centers), SeesAll(0.1 * k))
     return sweeps

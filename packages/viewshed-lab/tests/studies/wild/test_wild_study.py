@@ -114,7 +114,7 @@ def test_ground_that_follows_the_returns_is_right_whatever_the_attitude(seen: Wi
     grid, half = seen.truth.grid, np.deg2rad(2.0)
     flat = replace(seen.sample("nothing"), ground_m=np.zeros(grid.shape, np.float32), origin_height_m=2.0,
                    attitude=np.array([np.cos(half), 0.0, np.sin(half), 0.0]))  # fmt: skip
-    leveled = level(seen.told("nothing"), grid)
+    leveled = level(seen.given("nothing"), grid)
     steps = (np.arange(64) + 0.5) * 2 - 64.0
     tilted = np.broadcast_to(steps[:, None] * np.tan(np.deg2rad(4.0)), (64, 64)) - 2.0 / np.cos(np.deg2rad(4.0))
     as_given = Rigid(np.eye(3), np.array([0.0, 0.0, 2.0]))

@@ -41,7 +41,7 @@ void bind_range_image(nb::module_& m) {
     m.def(
         "pixels_without",
         [](In1<std::int16_t> ring, In1<bool> left_out, In1<std::int32_t> column, In2<std::uint8_t> counts) {
-            const std::size_t count = ring.shape(0), rings = counts.shape(0), columns = counts.shape(1);
+            const std::size_t rings = counts.shape(0), columns = counts.shape(1);
             require_image(rings, columns);
             require(are_as_long(ring, left_out, column), "ring, left_out and column must be as long");
             const Buffer<std::int16_t> own = indices_of<std::int16_t>(view(ring), -1, std::int16_t(rings - 1), "ring");

@@ -69,16 +69,6 @@ void bind_ray_trace(nb::module_& m) {
         "reach_m"_a.none(), "margin_m"_a,
         "Range (bins,) up to which each azimuth is visible before its blocker; -1 without a return.");
     m.def(
-        "ranges_in_bins",
-        [](In1<float> azimuth, In1<float> range_m, In1<float> height_m, float low_m, float high_m) {
-            const LeveledReturns returns = returns_of(azimuth, range_m, height_m, low_m, high_m);
-            auto found = without_lock([&] { return find_ranges(returns, 0); });
-            return tuple_of(array(std::move(found.farthest_m)), array(std::move(found.nearest_m)));
-        },
-        "azimuth"_in, "range_m"_in, "height_m"_in, "low_m"_a, "high_m"_a,
-        "Range (bins,) of the farthest return, -1 where none, and of the nearest obstacle, +inf where none, by the "
-        "azimuth bins that the returns fill.");
-    m.def(
         "cells_within",
         [](In1<float> limit_m, In2<float> cell_range_m, In2<std::int16_t> cell_bin) {
             const std::size_t rows = cell_range_m.shape(0), columns = cell_range_m.shape(1);

@@ -6,7 +6,6 @@
 
 #include "bindings.hpp"
 #include "elevation_clusters.hpp"
-#include "sensor_motion.hpp"
 
 namespace viewshed {
 namespace {
@@ -153,15 +152,6 @@ void bind_sensor_id(nb::module_& m) {
         },
         "azimuth"_in, "slope"_in, "range_m"_in,
         "Elevations at which returns (N,) gather, heights of their origin, and sharpness; or None.");
-    m.def(
-        "find_motion",
-        [](Points points) -> std::optional<Tuple<double, double, double, double, double>> {
-            checked_count(points);
-            const auto motion = find_motion(OwnPoints(points));
-            if (!motion) return std::nullopt;
-            return tuple_of(motion->way_m[0], motion->way_m[1], motion->way_m[2], motion->seam, motion->reference);
-        },
-        "points"_in, "The way (3), seam and reference by which elevations of points (N, 3) gather; or None.");
 }
 
 }  // namespace viewshed

@@ -48,7 +48,7 @@ MOST_BEFORE, MOST_SILENT = 3, 2
 """Most looks with a report of an object, and most in a row without one since, that count for *reported*."""
 
 KNOWN = 2
-"""An agent withholds only what it reported at so many looks."""
+"""An agent withholds only what it reported at this many looks."""
 
 WITHHELD_SHARES, WITHHELD_PRIOR = (0.05, 0.2, 0.5), 0.03
 """Shares of the objects that who withholds some may withhold, all as likely; chance that any one is withheld."""

@@ -53,7 +53,7 @@ MOST_CELLS = 250
 """Of more surface or free cells of a view every second, third, ... one is compared."""
 
 _FEW, _USUAL = 20, np.array([0.03, 0.1])
-"""Shares of pairs count as if they were of so many cells more, with the usual share."""
+"""Shares of pairs count as if they had this many cells more, with the usual share."""
 
 _TURNS, _SHIFTS_M = np.radians([0.0, -2.0, 2.0]), np.arange(-2.0, 3.0)
 _CLAIMED = 0, len(_SHIFTS_M) // 2, len(_SHIFTS_M) // 2

@@ -6,12 +6,12 @@ import sys
 import warnings
 from collections.abc import Callable
 from functools import cache
-from typing import Annotated, cast
+from typing import Annotated, Any, cast
 
 import typer
 
 from viewshed import __version__
-from viewshed._extras import needed_for, plugin, plugins
+from viewshed._extras import LABORATORY, load, needed_for, plugin, plugins
 from viewshed.cli._options import SectionedCommand, with_groups
 from viewshed.cli._status import status_line
 from viewshed.cli._terminal import BAD_INPUTS, complain, note, one_line
@@ -44,28 +44,37 @@ def application() -> typer.Typer:
     They are put together when they are first needed: a module of such a package may import this one.
     """
     app = typer.Typer(name="viewshed", add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
-    app.callback(invoke_without_command=True)(_root)
+    points = plugins("commands")
+    missing = [name for name in LABORATORY_COMMANDS if name not in points]
+    more = f"{', '.join(missing)}: pip install {LABORATORY}" if missing else None
+    app.callback(invoke_without_command=True, epilog=more)(_root)
     for command in _COMMANDS:
         app.command(cls=SectionedCommand)(with_groups(command))
     app.add_typer(monitor_app, name="monitor")
-    points = plugins("commands")
     for name in dict.fromkeys([*LABORATORY_COMMANDS, *sorted(points)]):
-        if name not in points:
+        brought: Any = None
+        problem: ImportError | None = None
+        try:
+            if name in points:
+                brought = load(points[name], callable, "a function or a typer.Typer")
+        except ImportError as error:
+            problem = error
+        if brought is None:
             words = {"ignore_unknown_options": True, "allow_extra_args": True}
-            app.command(name, hidden=True, add_help_option=False, context_settings=words)(_missing(name))
-            continue
-        brought = points[name].load()
-        if isinstance(brought, typer.Typer):
+            app.command(name, hidden=True, add_help_option=False, context_settings=words)(_missing(name, problem))
+        elif isinstance(brought, typer.Typer):
             app.add_typer(brought, name=name)
         else:
             app.command(name, cls=SectionedCommand)(with_groups(brought))
     return app
 
 
-def _missing(name: str) -> Callable[[], None]:
-    """Return a command that says which package has it."""
+def _missing(name: str, problem: ImportError | None) -> Callable[[], None]:
+    """Return a command that says which package has it, or why it cannot be loaded."""
 
     def command() -> None:
+        if problem is not None:
+            raise problem
         plugin("commands", name, f"viewshed {name}")
 
     return command

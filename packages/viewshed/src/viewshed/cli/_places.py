@@ -19,6 +19,8 @@ _FOLDERS_SEARCHED = 200
 """Most folders, below one without sweeps, that are searched for a hint."""
 
 _PATTERN = re.compile(r"[*?\[]")
+_ADDRESS = re.compile(r"[a-z][a-z0-9+.-]+:/", re.IGNORECASE)
+"""How an address such as ``s3://bucket/sweeps`` begins, as a path: with one slash."""
 
 
 def chosen_files(files: list[Path], index: Path | None) -> Iterator[tuple[Path, IndexEntry | None]]:
@@ -53,6 +55,11 @@ def files_in(place: Path) -> list[Path]:
         if not found:
             raise ValueError(f"no file fits {place}")
         return [file for each in found for file in files_in(each)]
+    if _ADDRESS.match(str(place)) and not place.exists():
+        raise ValueError(
+            f"{str(place).replace(':/', '://', 1)} must be a file or a folder, got an address; copy what lies there to"
+            " this machine first"
+        )
     return _files_of_folder(place) if place.is_dir() else [place]
 
 

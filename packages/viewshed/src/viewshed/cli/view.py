@@ -52,7 +52,7 @@ if TYPE_CHECKING:
     Check = Callable[[LeveledSweep, FovEstimate], tuple[IntegrityReport, str]]
     """What a monitor says of the next sweep and its estimate, and that in words."""
 
-Step = Annotated[int, typer.Option(min=1, help="Take one sweep of so many.")]
+Step = Annotated[int, typer.Option(min=1, help="Take every Nth sweep.")]
 
 MostSweeps = Annotated[int | None, typer.Option("--sweeps", min=1, help="End after this number of sweeps.")]
 

@@ -10,7 +10,7 @@ from typing import Protocol, cast
 
 from numpy.typing import ArrayLike
 
-from viewshed._extras import plugins
+from viewshed._extras import load, plugins
 from viewshed.estimators.base import EarlierSweeps, Estimator
 from viewshed.estimators.concave_hull import ConcaveHull
 from viewshed.estimators.delaunay import Delaunay
@@ -168,7 +168,7 @@ def load_estimator(
             added = plugins("estimators")
             if method not in added:
                 raise ValueError(f"method must be one of {', '.join([*known, *LEARNED, *added])}, got {method!r}")
-            known[method] = added[method].load()
+            known[method] = load(added[method], callable, "a class or a function")
         if given:
             raise ValueError(f"{', '.join(given)} must be left out for {method}, which is no network; use unet")
         estimator = known[method](cells, thing)

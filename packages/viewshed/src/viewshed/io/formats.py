@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import os
+import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
-from viewshed._extras import plugins
+from viewshed._extras import load, plugins
 from viewshed.geometry import Rigid
 from viewshed.io._columns import Columns
 from viewshed.io._input import InputFile
@@ -59,8 +60,16 @@ package of your own, an entry point of ``viewshed.formats``."""
 
 @lru_cache(maxsize=1)
 def _added() -> dict[str, Format]:
-    """Return the formats that installed packages add, by entry points ``viewshed.formats``."""
-    return {name: point.load() for name, point in plugins("formats").items() if name not in FORMATS}
+    """Return the formats that installed packages add, by entry points ``viewshed.formats``; skip those that fail."""
+    added = {}
+    for name, point in plugins("formats").items():
+        if name in FORMATS:
+            continue
+        try:
+            added[name] = load(point, lambda format_: isinstance(format_, Format), "a viewshed.io.Format")
+        except ImportError as error:
+            warnings.warn(f"format {name!r} is left out: {error}", stacklevel=2)
+    return added
 
 
 def all_formats() -> dict[str, Format]:
@@ -69,9 +78,9 @@ def all_formats() -> dict[str, Format]:
 
 
 _NOT_READ = {
-    b"SQLite format 3": "is a ROS 2 bag (SQLite), a recording: open it with viewshed.recordings.read.open_source",
-    b"#ROSBAG V": "is a ROS 1 bag, a recording: open it with viewshed.recordings.read.open_source",
-    b"\x89MCAP0\r\n": "is an MCAP bag, a recording: open it with viewshed.recordings.read.open_source",
+    b"SQLite format 3": "is a ROS 2 bag (SQLite), a recording: open it with viewshed.open_recording",
+    b"#ROSBAG V": "is a ROS 1 bag, a recording: open it with viewshed.open_recording",
+    b"\x89MCAP0\r\n": "is an MCAP bag, a recording: open it with viewshed.open_recording",
     b"FEA1": "is feather version 1; write it again as version 2",
     b"\x0a\x0d\x0d\x0a": "is a pcapng capture; convert it with: editcap -F pcap",
     b"\x1f\x8b": "is gzipped twice; unpack it once",

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any, Literal, Self, get_args
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from viewshed._files import DAMAGED, read_arrays, write_atomic
 from viewshed.arrays import F32, F64, Mask
@@ -193,7 +193,7 @@ class Calibration:
         return float(rates.mean() if confidence is None else np.quantile(rates, confidence))
 
     def promise(self, per_hour: float) -> str:
-        """Return in a line what a limit for so many false alarms an hour rests on."""
+        """Return in a line what a limit for this many false alarms an hour rests on."""
         limit = self.limit(per_hour, extrapolate=True)
         how = "" if per_hour >= self.least_per_hour else ", an extrapolation of the tail of their scores"
         most = self.per_hour(limit, CONFIDENCE)
@@ -340,12 +340,9 @@ def load_calibration(path: str | Path) -> Calibration:
     raw = Path(path).read_bytes()
     try:
         arrays = read_arrays(raw, _MAX_BYTES)
-        about = json.loads(arrays["about"].tobytes())
-        if (about["monitor"], about["version"], about["evidence"]) != (NAME, FORMAT_VERSION, EVIDENCE_ID):
-            raise ValueError(
-                f"version {about['version']} of monitor {about['monitor']} of evidence {about.get('evidence')}, not"
-                f" {EVIDENCE_ID}"
-            )
+        about = read_about(arrays, NAME, FORMAT_VERSION)
+        if about["evidence"] != EVIDENCE_ID:
+            raise ValueError(f"a monitor of evidence {about['evidence']} (this version has {EVIDENCE_ID})")
         changes, scores = (
             SurpriseScale(*(np.asarray(arrays[f"{name}.{part}"], np.float32) for part in ("values", "surprises")))
             for name in ("changes", "scores")
@@ -359,8 +356,25 @@ def load_calibration(path: str | Path) -> Calibration:
     except DAMAGED as error:
         why = " ".join(str(error).split()) or type(error).__name__
         raise ValueError(
-            f"{path} must be a whole monitor file of this version, got: {why}; calibrate it again"
+            f"{path} must be a whole monitor file of this version, got: {why}; make it again:"
+            " viewshed monitor calibrate DRIVES --out FILE"
         ) from error
+
+
+def read_about(arrays: Mapping[str, NDArray[Any]], name: str, version: int) -> dict[str, Any]:
+    """Return what a monitor file says of itself, checked to be of the monitor ``name`` in the format ``version``.
+
+    Raises:
+        DAMAGED: it is not; ValueError says what it is.
+    """
+    if "about" not in arrays:
+        raise ValueError("no monitor")
+    about: dict[str, Any] = json.loads(arrays["about"].tobytes())
+    if about["monitor"] != name:
+        raise ValueError(f"a file of the monitor {about['monitor']}, not of {name}")
+    if about["version"] != version:
+        raise ValueError(f"a monitor of format {about['version']} (this version reads {version})")
+    return about
 
 
 def shipped_calibration() -> Calibration:

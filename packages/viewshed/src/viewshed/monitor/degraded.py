@@ -25,7 +25,7 @@ NOISIER, LEAST_NOISE_M, NOISIEST = 1.6, 0.03, 0.9
 """... with this factor of the noise that all but a tenth of the sweeps before had, if it is more than this, ..."""
 
 MORE_ISOLATED, LEAST_ISOLATED = 1.5, 0.003
-"""... or with isolated returns, of rain, snow or leaves, beyond so many times their upper spread, and this share."""
+"""... or with isolated returns, of rain, snow or leaves, beyond this many times their upper spread, and this share."""
 
 RARE_SHARE = 0.02
 """Sweeps before, on either side, beyond which a number goes by itself: the fewest returns, and the upper spread."""

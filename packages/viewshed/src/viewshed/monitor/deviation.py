@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from viewshed._files import DAMAGED, read_arrays, write_atomic
 from viewshed.fov.estimate import FovEstimate
 from viewshed.grid import MAX_CELLS, BevGrid, polar_of_cells
-from viewshed.monitor.calibration import alarm_limit
+from viewshed.monitor.calibration import alarm_limit, read_about
 from viewshed.monitor.report import IntegrityReport, sectors_of_cells
 
 NAME = "deviation"
@@ -236,16 +236,17 @@ def load_monitor(path: str | Path) -> DeviationMonitor:
     """
     raw = Path(path).read_bytes()
     try:
-        arrays = read_arrays(raw, _MAX_BYTES, ("about", "thresholds"))
-        return _monitor(json.loads(arrays["about"].tobytes()), arrays["thresholds"])
+        arrays = read_arrays(raw, _MAX_BYTES)
+        return _monitor(read_about(arrays, NAME, FORMAT_VERSION), arrays["thresholds"])
     except DAMAGED as error:
         why = " ".join(str(error).split()) or type(error).__name__
-        raise ValueError(f"{path} must be a whole monitor file of this version, got: {why}; fit it again") from error
+        raise ValueError(
+            f"{path} must be a whole monitor file of this version, got: {why}; make it again:"
+            " viewshed monitor fit SWEEPS --out FILE"
+        ) from error
 
 
 def _monitor(about: dict[str, Any], thresholds: Any) -> DeviationMonitor:
-    if about["version"] != FORMAT_VERSION or about["monitor"] != NAME:
-        raise ValueError(f"monitor {about['monitor']} of version {about['version']}, not {NAME} of {FORMAT_VERSION}")
     cells, half_extent_m, offset_m = about["grid"]
     return DeviationMonitor(
         BevGrid(int(cells), float(half_extent_m), (float(offset_m[0]), float(offset_m[1]))), thresholds,

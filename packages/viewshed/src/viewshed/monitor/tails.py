@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from viewshed.arrays import F32, F64
 
 CALM_SWEEPS = 10
-"""An alarm ends after so many sweeps in a row below the limit."""
+"""An alarm ends after this many sweeps in a row below the limit."""
 
 TAIL_PEAKS = 30
 """Peaks, the highest, to which a tail is fitted; half of all where there are fewer."""

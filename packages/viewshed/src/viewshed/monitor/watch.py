@@ -13,7 +13,7 @@ from viewshed.monitor.score import RARE, Past, numbers_of
 from viewshed.monitor.tails import CALM_SWEEPS
 
 MOST_HELD_SWEEPS = 100
-"""After so many sweeps of an alarm, 10 s, they become the past: the world changed, or nobody can tell."""
+"""After this many sweeps of an alarm, 10 s, they become the past: the world changed, or nobody can tell."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

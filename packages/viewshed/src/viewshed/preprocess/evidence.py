@@ -58,12 +58,6 @@ class BeamEvidence:
         """(cells, cells) float32 expected returns by both kinds of beams."""
         return self.measured + self.inferred
 
-    @property
-    def unresolved(self) -> F32:
-        """(cells, cells) float32 returns more if the beams without a return ended late."""
-        more: F32 = np.maximum(self.late - self.inferred, np.float32(0.0))
-        return more
-
     def supports_claim(self) -> Mask:
         """Return where a cell may be called visible (cells, cells).
 

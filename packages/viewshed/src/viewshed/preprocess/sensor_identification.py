@@ -16,7 +16,7 @@ from viewshed.sensors import LidarModel, inferable_sensors, lidar_model
 from viewshed.sweep import Sweep
 
 COUNTED_SWEEPS = 100
-"""The rings of a stream are as many as most of so many last sweeps show."""
+"""Last sweeps whose most frequent number of rings is taken for the stream's."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -26,7 +26,7 @@ OnStep = Callable[[str], None]
 
 
 # How columns are chosen; every length in meters above each sweep's own local ground.
-BODY_M, BODY_RETURNS = (0.5, 1.5), 3  # a column needs so many returns of B between these heights
+BODY_M, BODY_RETURNS = (0.5, 1.5), 3  # a column needs this many returns of B between these heights
 TOP_M = (1.1, 2.2)  # and one return between these, so that it is about as tall as a car
 # A column counts as not seen only if another sweep has a return near it between these heights, so that A's beams cannot
 # pass below it as they do below a bus, ...
@@ -36,7 +36,7 @@ RANGE_A_M, RANGE_B_M = (4.0, 45.0), (3.0, 50.0)  # distance of the column from A
 STATIC_S = 0.7  # another sweep, this many seconds from B or more, must see it too, or it may have moved
 TOGETHER_S = 0.02  # what B measured within this time of A needs no such witness
 NEAR_M = 0.5  # returns within this distance of the column's middle belong to it
-SEEN_M, SEEN_RETURNS = (0.2, 1.7), 2  # A sees the column with so many returns between these heights
+SEEN_M, SEEN_RETURNS = (0.2, 1.7), 2  # A sees the column with this many returns between these heights
 CLEAR_M = 1.5  # A does not see it if it has no return between those heights within this distance
 COVERAGE = 3  # returned beams of A that must aim at the column
 # A column that this share (and at least two) of those beams pass by so much has moved or can be seen through: it is

@@ -38,7 +38,7 @@ _DEEPEST = 60
 """Beams that a cell may lack to count for the gradient of a wedge."""
 
 _CHECKED = 40
-"""Every so manyth attack is certified as well, as a victim would."""
+"""Every Nth attack of this N is certified as well, as a victim would."""
 
 
 @dataclass(slots=True)
@@ -134,7 +134,7 @@ def beams_within(
         start = int(np.convolve(np.tile(by_column, 2), np.ones(wide), "valid")[:columns].argmax())
         return (np.arange(rings)[:, None] * columns + (start + np.arange(wide)) % columns).ravel()
     if threat.kind == "window":
-        # So many in either half of the turn, and between them a gap that no window spans.
+        # This many in either half of the turn, and between them a gap that no window spans.
         stretch = columns // 2
         picked = [
             first + np.argsort(part)[-amount:]
@@ -215,7 +215,7 @@ def _claims_wrongly(
 
 
 def try_all(victim: Victim, beams_at_once: int, limit: int, tally: Tally) -> None:
-    """Drop every set of so many beams of a toy sensor, up to a limit."""
+    """Drop every set of this many beams of a toy sensor, up to a limit."""
     threat, clean = Threat("dropped", beams_at_once), victim.envelope
     among = ~clean.reference(threat)
     bound_m2, best_m2 = clean.changeable(threat, among, opens=True)[0], 0.0

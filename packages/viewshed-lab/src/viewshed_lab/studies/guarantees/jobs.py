@@ -84,10 +84,10 @@ def run_study(folder: Path, sizes: Sizes, on_line: Callable[[str], None]) -> Non
         scene = own_scene("calibration", number)
         _add(folder, "calibration", number, {t: _packed(counts_of(scene, t, number)[1]) for t in TARGETS})
     for number in _left(folder, "development", sizes.development, on_line):
-        scene, told = wild_scene(wild_scenes("development", "road")[number])
+        scene, sensor = wild_scene(wild_scenes("development", "road")[number])
         estimate, counts = counts_of(scene, "car", number)
         default = guaranteed_of(scene, "car", estimate, estimate.visible())
-        _add(folder, "development", number, {"car": _packed(counts), "default": default, "sensor": told})
+        _add(folder, "development", number, {"car": _packed(counts), "default": default, "sensor": sensor})
     calibrations = {target: calibration_of(folder, target) for target in TARGETS}
     for number in _left(folder, "report", sizes.report, on_line):
         scene, found = own_scene("report", number), {}

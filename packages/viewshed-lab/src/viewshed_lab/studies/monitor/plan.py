@@ -41,7 +41,7 @@ class MonitorPlan(Plan):
     benign_streams: int
     seconds: float  # of a stream
     hz: float  # sweeps a second
-    pose_noise_every: int  # one stream of so many has noisy poses
+    pose_noise_every: int  # N: every Nth stream has noisy poses
     attacks: tuple[str, ...]  # that branch off the streams, in turn
     attack_every_s: float  # two attacks begin so often
     seed: int  # of all that is random

@@ -28,7 +28,7 @@ ATTACKED, SWEEPS = (10, 16, 22), 24
 """Sweeps of a development stream that are attacked, and how many it has."""
 
 EARLIER = 8
-"""A replay shows the sweep so many before."""
+"""A replay shows the sweep this many before."""
 
 EDGE_M, BETWEEN_M = (0.3, 2.5), 0.1
 """A beam is at an edge if those beside it end so far apart, and mixed if its return lies so far from either."""

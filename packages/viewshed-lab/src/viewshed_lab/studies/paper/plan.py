@@ -101,7 +101,7 @@ class PaperPlan(Plan):
     passes: int  # stochastic passes of Monte Carlo dropout
     pair_frames: tuple[int, ...]  # held-out sweeps that each of the 72 pairs is scored on, for each domain
     pair_part: int  # of these sweeps are done together: what a stopped run loses at most
-    mcd_every: int  # models that take several passes are scored on every so manyth of the sweeps
+    mcd_every: int  # N: models that take several passes are scored on every Nth sweep
     strict_frames: int  # held-out sweeps that face every attack
     strengths: bool  # whether they also face every strength of ``attacks.SEVERITIES``
     trade_domain: str  # where the trade study is made

@@ -102,7 +102,7 @@ class AttackedDomain(Domain[RobustnessPlan]):
         return Verdict(_loss(self.counts(method, clean).f1, self.counts(method, case).f1), precision, recall)
 
     def verdict(self, method: str, attack: str, most: int | None = None) -> Verdict:
-        """Return the worst losses of an estimator under an attack, over all its budgets of at most so many returns."""
+        """Return the worst losses of an estimator under an attack, over its budgets of at most this many returns."""
         cases = [case for case in self.cases_of(attack) if most is None or _returns(case) <= most]
         losses = [self.losses(method, case) for case in cases]
         worst = (

@@ -1,6 +1,6 @@
 """What is counted of one estimate against the exact truth and the exact ground, and the ladder of exact knowledge.
 
-A row says whose it is (set, domain, scene, sweep; style, sensor and mounting; what was told, target, method), counts
+A row says whose it is (set, domain, scene, sweep; style, sensor and mounting; what was given, target, method), counts
 the claims over the cells whose truth is known (the fields of ``ConfusionCounts``, and ``bins``: 150 × 3, by bin of
 probability cells, visible cells and sum of probabilities), and has further figures. Areas are in square meters, over
 cells whose truth is known:
@@ -43,7 +43,7 @@ from viewshed_lab.studies.wild.pool import FINE_BINS
 
 OFF_M, SURE, FLAT_M, CLEAR = 1.0, 0.8, 1.0, 2
 
-AS_TOLD = "shadow_map"
+AS_GIVEN = "shadow_map"
 
 LADDER = ("+ exact rings and beams' table", "+ exact height and attitude", "+ exact ground", "exact ends of all beams",
           "all of it: the counting kernel alone")  # fmt: skip
@@ -53,8 +53,8 @@ LADDER = ("+ exact rings and beams' table", "+ exact height and attitude", "+ ex
 def rows_of(seen: WildObservation, plan: WildPlan) -> Iterator[Row]:
     """Yield the rows of one sweep: every method, target and knowledge of the plan, and the ladder."""
     grid = seen.truth.grid
-    for told in plan.told:
-        sample = seen.sample(told)
+    for given in plan.told:
+        sample = seen.sample(given)
         leveled = level(sample.sweep, grid)
         for target in plan.targets:
             for name, method in zip(plan.judged, (*plan.methods, *plan.networks), strict=True):
@@ -100,7 +100,7 @@ def row_of(seen: WildObservation, sample: WildSample, estimate: FovEstimate, lev
     return {
         "set_name": seen.scene.domain.set_name, "domain": seen.scene.domain.name, "scene": sample.scene,
         "sweep": seen.number, "style": sample.style, "sensor": sample.sensor, "mounting": sample.mounting,
-        "told": sample.told, "target": target.name, "method": method,
+        "told": sample.given, "target": target.name, "method": method,
         **asdict(ConfusionCounts.of(claimed, true, known, grid.cell_area_m2)),
         "bins": _bins(prob[known], true[known]).round(3).ravel().tolist(), **numbers,
     }  # fmt: skip
@@ -134,7 +134,7 @@ def _ladder(seen: WildObservation, target: Target) -> Iterator[Row]:
     """Yield the shadow map's rows with more and more of what a sweep does not tell."""
     grid, sample = seen.truth.grid, seen.sample("rings")
     exact_height, exact_ground = sample.origin_height_m, sample.exact_ground
-    as_told = level(sample.sweep, grid)
+    as_given = level(sample.sweep, grid)
     rings = sample.sweep.replace(model=seen.sensor.table)
     upright = rings.replace(sensor_height_m=exact_height, attitude=sample.attitude)
     steps = [level(rings, grid), level(upright, grid)]
@@ -144,7 +144,7 @@ def _ladder(seen: WildObservation, target: Target) -> Iterator[Row]:
         yield row_of(seen, sample, estimator.estimate(leveled), leveled, name)
     # Every beam to where it really ended, over the ground as it was estimated, and over the exact one.
     beams = exact_beams(seen)
-    for name, leveled in zip(LADDER[3:], (as_told, steps[2]), strict=True):
+    for name, leveled in zip(LADDER[3:], (as_given, steps[2]), strict=True):
         counts, aimed = expected_returns(beams, leveled.sensor_height_m, leveled.ground, grid, target)
         yield row_of(seen, sample, _counted(counts, aimed, grid, target), leveled, name)
 

@@ -76,7 +76,7 @@ def reliability_of(pool: Pool) -> bytes:
         axis.plot(
             said[some] / cells[some], visible[some] / cells[some], marker=".", label=f"{method}, {part.ece():.3f}"
         )
-    axis.set(xlabel="probability said", ylabel="share of cells visible", xlim=(0, 1), ylim=(0, 1))
+    axis.set(xlabel="probability stated", ylabel="share of cells visible", xlim=(0, 1), ylim=(0, 1))
     axis.legend(title="calibration error", fontsize=7)
     return png_of(figure)
 

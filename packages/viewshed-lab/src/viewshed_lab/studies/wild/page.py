@@ -8,13 +8,13 @@ import numpy as np
 
 from viewshed.metrics import ConfusionCounts
 from viewshed_lab._page import facts
-from viewshed_lab.data.wild import TOLD
+from viewshed_lab.data.wild import GIVEN
 from viewshed_lab.studies.formatting import commits, format_interval, format_number, format_rate, format_rates
 from viewshed_lab.studies.pages import Picture, Table, fill_template
 from viewshed_lab.studies.records import cells_of
 from viewshed_lab.studies.statistics import f1
 from viewshed_lab.studies.store import ResultStore
-from viewshed_lab.studies.wild.evaluate import AS_TOLD, LADDER
+from viewshed_lab.studies.wild.evaluate import AS_GIVEN, LADDER
 from viewshed_lab.studies.wild.figures import picture_of, reliability_of
 from viewshed_lab.studies.wild.plan import WildPlan
 from viewshed_lab.studies.wild.pool import Pool
@@ -37,15 +37,15 @@ def files_of(store: ResultStore[WildPlan]) -> dict[str, bytes]:
     store.require(results)
     pool = Pool(results.rows)
     other = _own_and_other(pool)[1]
-    knowledge = {_WHAT[told]: told for told in TOLD if told in plan.told}
-    told = next(one for one in ("rings", *plan.told) if one in plan.told)
+    knowledge = {_WHAT[given]: given for given in GIVEN if given in plan.told}
+    given = next(one for one in ("rings", *plan.told) if one in plan.told)
 
     def part(domain: str, target: str, what: str) -> Pool:
         return pool.of(domain=domain, target=target, told=knowledge[what], method=plan.judged)
 
     page = fill_template(
         "wild/page.md", domains=pool.names("domain"), targets=plan.targets, knowledge=knowledge, part=part, plan=plan,
-        other=lambda domain, target, told=told: other.of(domain=domain, target=target, told=told),
+        other=lambda domain, target, given=given: other.of(domain=domain, target=target, told=given),
         agreement=_agreement, beyond_f1=_beyond_f1, broken_down=_broken_down, ladder=_ladder, worst=_worst,
         reliability=_reliability,
     )  # fmt: skip
@@ -59,7 +59,7 @@ def files_of(store: ResultStore[WildPlan]) -> dict[str, bytes]:
 def _agreement(pool: Pool) -> Table:
     """Return precision, recall and F1 of every method, own and other side by side, and recall at equal precision."""
     rows, other = [], _own_and_other(pool)[1]
-    bar = other.of(method=AS_TOLD).counts.precision
+    bar = other.of(method=AS_GIVEN).counts.precision
     for method in pool.names("method"):
         row = [method]
         for part in _own_and_other(pool.of(method=method)):
@@ -117,7 +117,7 @@ def _ladder(pool: Pool) -> Table | None:
         return None
     same = pool.of(scene=with_ladder)
     rows = []
-    for name in (AS_TOLD, *LADDER):
+    for name in (AS_GIVEN, *LADDER):
         part = same.of(method=name)
         counts = part.counts
         shares = (
@@ -133,7 +133,7 @@ def _ladder(pool: Pool) -> Table | None:
 def _reliability(pool: Pool) -> Picture:
     """Return the picture of how well the probabilities of the judged methods are calibrated on other worlds."""
     judged = pool.of(method=[name for name in JUDGED if name in pool.names("method")])
-    what = "share of cells that are visible, by the probability said, on other worlds"
+    what = "share of cells that are visible, by the stated probability, on other worlds"
     return Picture(f"wild_{pool.names('domain')[0]}_reliability.png", reliability_of(judged), what)
 
 

@@ -9,7 +9,7 @@ from typing import ClassVar
 
 from viewshed.estimators import ESTIMATORS
 from viewshed.fov.visibility import TARGETS
-from viewshed_lab.data.wild import SEALED, SETS, TOLD, wild_tables
+from viewshed_lab.data.wild import GIVEN, SEALED, SETS, wild_tables
 from viewshed_lab.studies.plan import JobKey, Plan, check_names
 
 DOMAINS = ("road", "indoor")
@@ -20,7 +20,7 @@ class WildPlan(Plan):
     """What is run. ``all`` in the TOML stands for a whole table of names."""
 
     FOLDER: ClassVar[str] = "studies/wild/plans"
-    WHOLE_TABLES: ClassVar[Mapping[str, Iterable[str]]] = {"methods": ESTIMATORS, "told": TOLD, "targets": TARGETS}
+    WHOLE_TABLES: ClassVar[Mapping[str, Iterable[str]]] = {"methods": ESTIMATORS, "told": GIVEN, "targets": TARGETS}
 
     name: str  # of the study
     about: str  # one line for people
@@ -28,7 +28,7 @@ class WildPlan(Plan):
     domains: tuple[str, ...]  # ``road``, ``indoor``
     scenes: int  # how many of each domain at most, the first ones; 0 for all
     methods: tuple[str, ...]  # of ``ESTIMATORS``. A network without weights for a grid and target is left out there.
-    told: tuple[str, ...]  # of ``TOLD``: what the sweeps say beside their points
+    told: tuple[str, ...]  # of ``GIVEN``: what the sweeps say beside their points
     targets: tuple[str, ...]  # of ``TARGETS``
     ladder: bool  # whether the shadow map is also given the exact ground, returns and rings, one by one
     worst: int  # how many of the worst scenes of each domain are shown as pictures
