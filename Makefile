@@ -91,10 +91,9 @@ $(VENV)/.core: $(CORE) $(VENV)/.made
 	$(PIP) --editable packages/viewshed
 	@touch $@
 
-# An index of builds without CUDA, for which pip's own may bring gigabytes for graphics cards: make TORCH_INDEX=…
-TORCH_INDEX ?=
+# Pip's own index may bring gigabytes for graphics cards: PIP_EXTRA_INDEX_URL names one of builds without CUDA.
 $(VENV)/.torch: $(VENV)/.made
-	$(PIP) $(TORCH_INDEX:%=--extra-index-url %) 'torch==2.13.0'
+	$(PIP) 'torch==2.13.0'
 	@touch $@
 
 $(VENV)/.test: packages/viewshed-lab/pyproject.toml $(VENV)/.core $(VENV)/.torch
