@@ -16,6 +16,7 @@ from tests.studies.by_hand import stored
 
 from viewshed.networks.architecture import UNetShape
 from viewshed.networks.card import NetworkCard
+from viewshed_lab._results import page_files
 from viewshed_lab.studies.cases import TOUCHING
 from viewshed_lab.studies.paper import tables
 from viewshed_lab.studies.paper.data import evaluation_of, held_out, open_archive
@@ -24,7 +25,7 @@ from viewshed_lab.studies.paper.models import NetworkAlone, config_of, fold_scor
 from viewshed_lab.studies.paper.page import files_of
 from viewshed_lab.studies.paper.plan import PaperPlan
 from viewshed_lab.studies.paper.protocols import setting_of
-from viewshed_lab.studies.paper.published import PaperResults
+from viewshed_lab.studies.paper.published import OTHERS, SUB_TABLES, PaperResults
 from viewshed_lab.studies.runner import Job, ignore_progress
 from viewshed_lab.studies.store import JOBS, ResultStore
 
@@ -124,7 +125,12 @@ def test_pages_hold_targets_facts_and_figures(
         assert all(f"]({name})" in page for name in files if name.endswith(".png"))
         assert all(content.startswith(b"\x89PNG") for name, content in files.items() if name.endswith(".png"))
         assert "Not finished" not in page
+        assert "Monte Carlo dropout is scored on one of every 2 of these sweeps." in page
         assert f"seeds: {PLAN.seed} trained, {PLAN.test_seed} tested" in page
+    published = page_files("paper", files_of(results, "paper")["paper.md"].decode())["paper.md"]
+    headings = [block.lstrip("# ") for block in published.split("\n\n") if block.startswith("#")]
+    assert {table.title for table in (*SUB_TABLES, *OTHERS)} | {"Cross-validation", "Trainings"} <= set(headings)
+    assert published.count("| AUPRC, tested on") == len((*SUB_TABLES, *OTHERS))
     assert {
         "paper_trade.png", "paper_spread.png", "paper_folds.png", "paper_crossval.png", "paper_resolutions.png"
     } <= set(files_of(results, "paper"))  # fmt: skip
