@@ -1,6 +1,7 @@
 """The whole study on one domain of rooms: every step leaves what the next one needs, and nothing is done twice."""
 
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -8,28 +9,37 @@ import sys
 import time
 from collections.abc import Iterator
 from dataclasses import replace
+from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from tests.studies.by_hand import stored
 
+from viewshed.grid import BevGrid
 from viewshed.networks.architecture import UNetShape
 from viewshed.networks.card import NetworkCard
+from viewshed.networks.runtime import OnnxRunner
+from viewshed.networks.weights import manifest
 from viewshed_lab._results import page_files
 from viewshed_lab.studies.cases import TOUCHING
+from viewshed_lab.studies.formatting import format_rate
 from viewshed_lab.studies.paper import tables
 from viewshed_lab.studies.paper.data import evaluation_of, held_out, open_archive
-from viewshed_lab.studies.paper.jobs import Scope, do_job, missing_models, run_study, tampered_of
+from viewshed_lab.studies.paper.jobs import ATTACKED, Scope, do_job, missing_models, run_study, tampered_of
 from viewshed_lab.studies.paper.models import NetworkAlone, config_of, fold_scores
 from viewshed_lab.studies.paper.page import files_of
 from viewshed_lab.studies.paper.plan import PaperPlan
 from viewshed_lab.studies.paper.protocols import setting_of
 from viewshed_lab.studies.paper.published import OTHERS, SUB_TABLES, PaperResults
+from viewshed_lab.studies.records import BENIGN, Series
 from viewshed_lab.studies.runner import Job, ignore_progress
 from viewshed_lab.studies.store import JOBS, ResultStore
+from viewshed_lab.training import calibrate_int8
 
 pytestmark = pytest.mark.slow
+SHIP: Any = import_module("ship_study")
 
 PLAN = replace(
     PaperPlan.load("tiny"), domains=("ugv",), train_scenes=(4,), train_times=(2,), test_scenes=(9,), test_times=(5,),
@@ -134,6 +144,29 @@ def test_pages_hold_targets_facts_and_figures(
     assert {
         "paper_trade.png", "paper_spread.png", "paper_folds.png", "paper_crossval.png", "paper_resolutions.png"
     } <= set(files_of(results, "paper"))  # fmt: skip
+
+
+def test_networks_are_shipped_in_bytes_with_a_page_and_one_that_loses_too_much_is_left_out(
+    study: tuple[ResultStore[PaperPlan], Steps], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    store, _ = study
+    monkeypatch.setattr(calibrate_int8, "MAX_F1_LOSS", 1.0)
+    assert SHIP.ship_study(store, 1, tmp_path, tmp_path / "models.md") == []
+    page, lines = (tmp_path / "models.md").read_text("utf-8"), manifest(tmp_path)
+    assert set(lines) == {f"paper-{model.name}" for model in PLAN.models(["paper"])}
+    results = PaperResults.read(store)
+    for name, line in lines.items():
+        card = OnnxRunner(tmp_path / line.file, 1).card
+        assert (card.precision, card.truth, card.grid, line.methods) == ("int8", "paper_label", BevGrid(32, 18.0), ())
+        assert f"`{line.sha256[:12]}…` | 32 × 32, ±18 m" in page
+        mixture = name.split("-")[2]
+        case = BENIGN if mixture == "benign" else ATTACKED
+        f1 = results.pairs.counts(Series("ugv", name.removeprefix("paper-"), case, protocol="paper")).f1
+        assert re.search(rf"\| `{name}` \| ugv, {mixture} \|.* {format_rate(f1)} \| – \|", page)
+    monkeypatch.setattr(calibrate_int8, "MAX_F1_LOSS", -1.0)
+    left_out = SHIP.ship_study(store, 1, tmp_path / "none", tmp_path / "models.md")
+    assert [line.partition(" is left out: F1 in bytes must be")[0] for line in left_out] == list(lines)
+    assert not (tmp_path / "none").exists()
 
 
 def test_pages_say_what_is_missing(study: tuple[ResultStore[PaperPlan], Steps], tmp_path: Path) -> None:
