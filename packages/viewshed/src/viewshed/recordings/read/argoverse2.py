@@ -91,7 +91,7 @@ class Argoverse2(RecordingSource):
     def _table(
         self, path: Path, numbers: Sequence[str], words: Sequence[str] = (), optional: Sequence[str] = ()
     ) -> dict[str, NDArray[Any]] | None:
-        """Return the columns of a table of a log, None where it has none; read once. ``optional`` ones may be missing."""
+        """Return a log's table by column, None where it has none; read once. ``optional`` columns may be missing."""
         if path not in self._tables and not path.is_file():
             self._tables[path] = None
         if path not in self._tables:
