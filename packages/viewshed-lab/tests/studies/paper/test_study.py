@@ -191,6 +191,14 @@ def test_what_waits_for_a_model_is_told_and_left(tmp_path: Path) -> None:
     ]
 
 
+def test_data_of_another_seed_are_refused(tmp_path: Path) -> None:
+    store = ResultStore.open(tmp_path, replace(PLAN, seed=PLAN.seed + 7))
+    assert list(run_study(store, Scope(steps=("data",), workers=1), ignore_progress)) == []
+    other = ResultStore(tmp_path, PLAN)
+    with pytest.raises(ValueError, match="ugv-train must be made as the plan tiny says, got sweeps of another recipe"):
+        list(run_study(other, Scope(steps=("monitor",)), ignore_progress))
+
+
 def test_held_out_sweeps_are_of_other_scenes_and_have_a_past(study: tuple[ResultStore[PaperPlan], Steps]) -> None:
     store, _ = study
     train, test = (open_archive(store.folder, "ugv", split) for split in ("train", "test"))

@@ -17,6 +17,7 @@ from viewshed.networks.card import Runner
 from viewshed.preprocess.leveling import level
 from viewshed.sweep import Sweep
 from viewshed_lab._jobs import Engine, LocalEngine
+from viewshed_lab.data.simulated import recipe_of
 from viewshed_lab.studies.cases import DEFAULT, apply, corruption_cases, generator, strength_cases
 from viewshed_lab.studies.evaluate import Evaluation
 from viewshed_lab.studies.paper.data import SPLITS, evaluation_of, held_out, make_archive, open_archive, preset_of
@@ -274,9 +275,14 @@ def _check_data(store: ResultStore[PaperPlan]) -> None:
     for domain in store.plan.domains:
         for split in SPLITS:
             try:
-                open_archive(store.folder, domain, split)
+                archive = open_archive(store.folder, domain, split)
             except (ValueError, OSError) as error:
                 raise ValueError(f"{error}; the other steps need the step data") from error
+            if archive.manifest.recipe != recipe_of(preset_of(store.plan, domain, split)):
+                raise ValueError(
+                    f"{archive.store.place} must be made as the plan {store.plan.name} says, got sweeps of another"
+                    " recipe; move it away and run the step data"
+                )
 
 
 def make_data(store: ResultStore[PaperPlan], scope: Scope, on_progress: Progress) -> None:
