@@ -307,9 +307,7 @@ def _targets(node: Sequence[Found], replayed: Found) -> Iterator[list[str]]:
                 reached = _kept_up(node, size, monitor)
                 yield _target(f"node, {size}, {words}", f"≥ {hz} Hz", f"{reached:.0f} Hz", reached >= hz)
         reached = _kept_up(node, "35k, unet", "never")
-        yield _target(
-            "node, 35k, `unet` in bytes (paper: over 50 Hz)", "≥ 50 Hz", f"{reached:.0f} Hz", reached >= 50
-        )
+        yield _target("node, 35k, `unet` in bytes (paper: over 50 Hz)", "≥ 50 Hz", f"{reached:.0f} Hz", reached >= 50)
         for size in ("35k", "120k"):
             found = by_case[size, "always", 1]
             ratio = found["p99_ms"] / found["p50_ms"]
