@@ -3,6 +3,7 @@
 import contextlib
 import io
 import json
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -60,8 +61,13 @@ def test_a_network_of_the_papers_label_is_checked_by_that_label_on_its_own_grid(
     made = replace(config, truth="paper_label", half_extent_m=40.0, attacks=("paper",), variant=variant)
     export_onnx(tmp_path / "net.onnx", made.card(), nearby(made.card().shape))
     checked: list[TrainingSample] = []
-    compare = module._compare
-    monkeypatch.setattr(module, "_compare", lambda *of: checked.extend(of[2]) or compare(*of))
+    draw = module._draw
+
+    def drawn(config: TrainConfig, count: int) -> Iterator[TrainingSample]:
+        checked.extend(draw(config, count))
+        return iter(checked)
+
+    monkeypatch.setattr(module, "_draw", drawn)
     costs = quantize(made, tmp_path / "net.onnx", tmp_path / "bytes.onnx", 3)
     assert [each.passes for each in costs] == ([1, 20] if variant == "mcd" else [1])
     sweeps = archived_samples(replace(made, truth="probe", half_extent_m=32.0))
