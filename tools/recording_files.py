@@ -149,7 +149,7 @@ def argoverse2() -> Files:
     return {
         "log/sensors/lidar/315966265259836000.feather": feather(**sweep),
         "log/city_SE3_egovehicle.feather": feather(**time, **turned, tx_m=[5224.0], ty_m=[2384.0], tz_m=[69.0]),
-        "log/annotations.feather": feather(**time, **turned, **box, **names),
+        "log/annotations.feather": feather(**time, **turned, **box, **names, num_interior_pts=[41]),
     }
 
 

@@ -27,17 +27,21 @@ def main(words: Sequence[str] | None = None) -> None:
     )
     parser.add_argument("--folder", type=Path, default=WEIGHTS)
     chosen = parser.parse_args(words)
-    content = chosen.file.read_bytes()
-    card = OnnxRunner.of_content(content, str(chosen.file), 1, "onnxruntime").card
-    _run_once(content, chosen.file)
+    ship(chosen.file, chosen.name, tuple(filter(None, chosen.methods.split(","))), chosen.folder)
+
+
+def ship(file: Path, name: str, methods: tuple[str, ...], folder: Path) -> ShippedWeights:
+    """Check a network's file, write it into a folder of weights, and return its line of the manifest."""
+    content = file.read_bytes()
+    card = OnnxRunner.of_content(content, str(file), 1, "onnxruntime").card
+    _run_once(content, file)
     digest, grid = hashlib.sha256(content).hexdigest(), card.grid
     if grid.offset_m != (0.0, 0.0):
         raise ValueError(f"shipped weights must have a grid about the sensor, got offset {grid.offset_m}")
-    methods = tuple(filter(None, chosen.methods.split(",")))
-    extent_m = grid.half_extent_m
-    line = ShippedWeights(chosen.name, f"{chosen.name}.onnx", digest, grid.cells, extent_m, card.target, methods)
-    add_shipped(content, line, chosen.folder)
-    print(f"{line.file}: {len(content)} bytes, {digest[:10]}…, for {', '.join(methods)}")
+    line = ShippedWeights(name, f"{name}.onnx", digest, grid.cells, grid.half_extent_m, card.target, methods)
+    add_shipped(content, line, folder)
+    print(f"{line.file}: {len(content)} bytes, {digest[:10]}…, for {', '.join(methods) or 'its name alone'}")
+    return line
 
 
 def _run_once(content: bytes, file: Path) -> None:

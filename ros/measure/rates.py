@@ -30,6 +30,9 @@ from viewshed_ros.layers import LAYERS, PosedEstimate
 from viewshed_ros.nav2 import SpeedLimits
 
 AGENTS = 10
+NETWORKS = ("unet", "mc_dropout")
+"""Methods that are networks: one pass, and twenty."""
+
 UNDER_WAY = (1, 2, 3)
 """Of one sensor at a time: with three, one for each thread that works and one that waits."""
 
@@ -56,6 +59,8 @@ def _measured(folder: Path, seconds: float) -> Iterator[dict[str, Any]]:
         for name in ("35k", "120k"):
             yield from _closed(name, clouds[name], monitor, seconds, is_scan=False)
         yield from _closed("LaserScan", scan, monitor, seconds, is_scan=True)
+    for method in NETWORKS:
+        yield from _closed(f"35k, {method}", clouds["35k"], "never", seconds, is_scan=False, method=method)
     yield _at_ten_hz("VLP-16", [Stream("lidar", clouds["VLP-16"])], seconds)
     yield _at_ten_hz(
         f"{AGENTS} agents", [Stream(f"agent{number}", clouds["VLP-16"]) for number in range(AGENTS)], seconds
@@ -71,9 +76,13 @@ def _sweep(path: Path) -> Sweep:
         return Sweep(file["points"], file["intensity"], file.get("ring"))
 
 
-def _closed(name: str, message: bytes, monitor: str, seconds: float, *, is_scan: bool) -> Iterator[dict[str, Any]]:
-    """Yield latencies and rates for numbers of messages under way."""
+def _closed(
+    name: str, message: bytes, monitor: str, seconds: float, *, is_scan: bool, method: str = ""
+) -> Iterator[dict[str, Any]]:
+    """Yield latencies and rates for numbers of messages under way, of the profile's method or of a network in bytes."""
     parameters = {"profile": "infrastructure", "rate_hz": "0.0", "monitor": monitor}
+    if method:
+        parameters |= {"method": method, "weights": "road_int8", "history": "0"}
     if is_scan:
         parameters |= {"lidar.type": "scan", "grid": "indoor"}
     stream = Stream("lidar", message)

@@ -15,8 +15,10 @@ import numpy as np
 from benchmarks import clouds
 from benchmarks.processes import alone
 from benchmarks.timing import Timing, summary, times_of
+from viewshed.arrays import F32
 from viewshed.estimators.shadow_map import ShadowMap
 from viewshed.estimators.unet import UnetEstimator
+from viewshed.metrics import Scores
 from viewshed.networks.architecture import UNetShape
 from viewshed.networks.card import INT8, NetworkCard, Runner
 from viewshed.networks.mc_dropout import mean_and_deviation
@@ -24,9 +26,15 @@ from viewshed.networks.runtime import OnnxRunner, load_runner
 from viewshed.sweep import Sweep
 from viewshed_lab._page import facts, page, table
 from viewshed_lab._results import write_page
+from viewshed_lab.studies.cases import ROOM_M
+from viewshed_lab.studies.evaluate import Reference
+from viewshed_lab.studies.samples import sample_of
 
 PAGE = Path(__file__).resolve().parents[3] / "docs" / "results" / "network_speed.md"
 SEED, PASSES = 11, 20
+FEWER, MANY, SWEEPS = (5, 10), 100, 40
+"""Fewer passes that are tried as well, those that they are compared with, and on how many simulated sweeps."""
+
 ROUNDS, BUDGET_S = 3, 6.0
 SIZES = ("35k", "120k")
 ENGINE, TORCH, NONE = "onnxruntime", "torch, eager", "no network"
@@ -37,7 +45,7 @@ HEAD = ["what", "points", "median, ms (10–90 %)", "Hz", "of one torch pass", "
 TEXT = """\
 The paper's network (width 8, depth 4: {parameters:.2f} M parameters, {gflop:.2f} GFLOP a pass) on 256 × 256 cells.
 The rows **to mask** begin with a sweep in memory whose attitude is known and end with the mask: count, network,
-mean and deviation over {passes} passes where dropout is on, threshold. The rows **to estimate** are the whole
+mean and deviation over T passes where dropout is on, threshold. The rows **to estimate** are the whole
 estimator on a sweep without attitude: leveling, local ground and the states of the cells as well. Each engine runs in
 processes of its own, {rounds} of them in an order drawn anew each round, because the idle threads of one engine slow
 the next; within a process the rows take turns. **Of one torch pass** is the ratio to one eager pass of the paper's
@@ -48,6 +56,10 @@ Threads of the engines and of torch: {threads}. {weights}
 and {half:.0f} in bfloat16 here and now. At that rate one pass takes {floor_one:.1f} or {floor_one_half:.1f} ms, and
 {passes} passes {floor_all:.0f} or {floor_all_half:.0f} ms. Of each pass {own:.0%} depends on its mask; what lies before
 the first mask, and the half of the last decoder stage that reads stage 1, is computed once for all passes, exactly."""
+FEWER_TEXT = """\
+F1 of the mean over the passes, without bounds by the beams, on {sweeps} simulated sweeps of `{preset}` against {truth};
+one pass has dropout off. Correlation: of the deviation with that over {many} passes of other masks, over the cells
+whose truth is known."""
 
 
 def main() -> None:
@@ -75,13 +87,15 @@ def main() -> None:
     rows = rows_of(timings, card.shape.flops(card.grid.cells))
     if chosen.only:
         return
+    # Drawn weights have no F1 to lose.
+    fewer = [] if chosen.weights is None or not card.shape.dropout else fewer_passes(OnnxRunner(path, chosen.threads))
     libraries = ("numpy", "onnxruntime", "torch")
     about = facts(
         libraries=", ".join(f"{name} {metadata.version(name)}" for name in libraries),
         load=f"{os.getloadavg()[0]:.1f} in the minute before, on all cores (ours included)",
     )
     words = text(card, chosen.threads, alone(peak_flops, chosen.threads), chosen.weights)
-    write_page(chosen.out, page("Speed of the network", about, words, table(HEAD, rows)))
+    write_page(chosen.out, page("Speed of the network", about, words, table(HEAD, rows), *fewer))
     print(f"written to {chosen.out}")
 
 
@@ -150,7 +164,9 @@ def jobs_of(name: str, runner: Runner | None, sweep: Sweep, card: NetworkCard) -
             "count alone": lambda: card.input_of(level),
             "`shadow_map` to estimate": lambda: shadows.estimate(sweep),
         }
-    jobs = {"MLE to mask": mask_job(runner, level, 1), f"MCD T = {PASSES} to mask": mask_job(runner, level, PASSES)}
+    tried = (PASSES,) if name == TORCH else (*FEWER, PASSES)
+    jobs = {"MLE to mask": mask_job(runner, level, 1)}
+    jobs |= {f"MCD T = {passes} to mask": mask_job(runner, level, passes) for passes in tried}
     if name == TORCH:
         inputs = np.zeros((1, 1, *card.grid.shape), np.float32)
         return {**jobs, ONE_PASS: lambda: runner.run(inputs)}
@@ -171,12 +187,42 @@ def mask_job(runner: Runner, sweep: Sweep, passes: int) -> Callable[[], object]:
     return job
 
 
+def fewer_passes(runner: Runner, sweeps: int = SWEEPS) -> list[str]:
+    """Return heading, words and table of what fewer passes cost: F1, and how much of the deviation they keep."""
+    card = runner.card
+    preset, exact = "ugv" if card.grid.half_extent_m < ROOM_M else "nuscenes", card.truth == "probe"
+    scores = {passes: Scores() for passes in (1, *FEWER, PASSES, MANY)}
+    deviations: dict[int, list[F32]] = {passes: [] for passes in scores}
+    for number in range(sweeps):
+        sample = sample_of(preset, number, sweeps, SEED)
+        truth = Reference.exact(sample) if exact else Reference.label(sample, card.grid)
+        if truth.grid != card.grid:
+            raise ValueError(f"weights must be for the grid of the preset {preset}, {truth.grid}, got {card.grid}")
+        inputs = card.input_of(sample.sweep)[None]
+        for passes, score in scores.items():
+            masks = None if passes == 1 else card.shape.masks(passes, np.random.default_rng([SEED, number, passes]))
+            mean, std = mean_and_deviation(runner.run(inputs, masks))
+            score.add(mean[truth.known], truth.visible[truth.known])
+            deviations[passes].append(std[truth.known])
+    joined = {passes: np.concatenate(each) for passes, each in deviations.items()}
+    rows = [
+        [str(passes), f"{score.f1(card.threshold):.4f}",
+         f"{np.corrcoef(joined[passes], joined[MANY])[0, 1]:.3f}" if 1 < passes < MANY else "–"]
+        for passes, score in scores.items()
+    ]  # fmt: skip
+    words = FEWER_TEXT.format(
+        sweeps=sweeps, preset=preset, truth="exact truth" if exact else "the paper's label", many=MANY
+    )
+    header = ["passes", "F1", f"correlation with the deviation of {MANY} passes"]
+    return ["## Fewer passes", words, table(header, rows)]
+
+
 def rows_of(timings: Mapping[tuple[str, str], Timing], flops: int) -> list[list[str]]:
     """Return the rows of the table, and print them."""
     rows = []
     for (name, size), each in timings.items():
         one = timings.get((f"{ONE_PASS}: {TORCH}", size))
-        passes = PASSES if name.startswith("MCD") else 1
+        passes = int(name.split()[3]) if name.startswith("MCD") else 1
         network = name.startswith(("MLE to mask", "MCD", ONE_PASS))
         rate = f"{1e-6 * passes * flops / each.median_ms:.0f}" if network else "–"
         target = (

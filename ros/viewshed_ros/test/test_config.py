@@ -13,6 +13,8 @@ import yaml
 from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.parameter import Parameter
 
+from viewshed.estimators.unet import UnetEstimator
+from viewshed.grid import GRIDS
 from viewshed_ros import costmap_filters, parameters
 from viewshed_ros.layers import LAYERS
 from viewshed_ros.nav2 import SpeedLimits
@@ -51,6 +53,8 @@ NONSENSE = [
     ("profile", "car", "profile must be one of robot, infrastructure, mapping, contested, got 'car'"),
     ("method", "nonesuch", "method: method must be one of"),
     ("grid", "street", "grid must be one of profile, road"),
+    ("weights", "nonesuch", "weights: weights must be a file that viewshed train exported or one of road"),
+    ("passes", -1, "passes"),
     ("monitor_file", "/nonesuch.npz", "nonesuch.npz"),
     ("sensors", ["a", "a"], "sensors must be different names"),
     ("rate_hz", -2.0, "rate_hz"),
@@ -90,6 +94,22 @@ def test_nonsense_is_refused_when_it_is_set_with_the_reason(
     assert reason in result.reason
     assert "\n" not in result.reason
     assert node.get_parameter(name).value == before
+
+
+def test_a_networks_weights_and_passes_are_taken_and_refused_where_they_do_not_go_together(node: FieldOfView) -> None:
+    def configured(**values: Any) -> bool:
+        given = {"history": 0, "weights": "", "passes": 0, "target": "car", **values}
+        assert all(node.set_parameters([Parameter(name, value=value)])[0].successful for name, value in given.items())
+        return bool(node.trigger_configure() == TransitionCallbackReturn.SUCCESS)
+
+    assert not configured(method="shadow_map", weights="road_int8")  # it is no network
+    assert not configured(method="unet", passes=5)
+    assert not configured(method="unet", weights="indoor_int8")  # for a pedestrian, not a car
+    assert configured(method="mc_dropout", weights="indoor_int8", passes=5, target="pedestrian")
+    assert node._pipeline is not None
+    estimator = node._pipeline._estimator
+    assert isinstance(estimator, UnetEstimator)
+    assert (estimator.name, estimator.passes, estimator.grid) == ("mc_dropout", 5, GRIDS["indoor"])
 
 
 def test_what_can_change_at_run_time_does_and_the_rest_says_how(node: FieldOfView) -> None:

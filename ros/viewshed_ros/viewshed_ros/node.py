@@ -152,12 +152,16 @@ class FieldOfView(LifecycleNode):
     def _configure(self, settings: NodeSettings) -> None:
         self._settings, self._limit = settings, RateLimit(settings.rate_hz)
         # 1. What estimates and watches; whatever is loaded once is loaded here.
-        estimator = load_estimator(settings.method, grid=settings.grid, target=settings.target)
+        estimator = load_estimator(
+            settings.method, grid=settings.grid, target=settings.target,
+            weights=settings.weights or None, passes=settings.passes or None,
+        )  # fmt: skip
         if settings.history and not estimator.uses_history:
             raise ValueError(f"history must be 0 for {settings.method}, which looks at one sweep; or take shadow_map")
         monitor = self._monitor(settings)
         self._facts = {
-            "method": settings.method, "grid": settings.grid, "history": str(settings.history),
+            "method": settings.method, **({"weights": settings.weights} if settings.weights else {}),
+            "grid": settings.grid or "that of the weights", "history": str(settings.history),
             "monitor": "off" if monitor is None else settings.monitor_file or "shipped",
         }  # fmt: skip
         # 2. Where poses are from, and what is published.

@@ -17,6 +17,7 @@ from viewshed.geometry import Rigid, rotation_from_quaternion
 from viewshed.grid import GRIDS
 from viewshed.guarantees.envelope import Threat
 from viewshed.monitor.calibration import load_calibration
+from viewshed.networks.runtime import load_runner
 from viewshed.pipeline.profiles import PROFILES, Profile, profile_named
 from viewshed.pipeline.reactions import VEHICLE, Vehicle
 from viewshed.sensors import LidarModel, lidar_model
@@ -74,6 +75,11 @@ def _check_method(value: str) -> None:
         load_estimator(value)
 
 
+def _check_weights(value: str) -> None:
+    if value:
+        load_runner(value)
+
+
 def _check_monitor_file(value: str) -> None:
     if value:
         load_calibration(value)
@@ -111,7 +117,15 @@ _SPEEDS_MPS = (1e-3, 1e3)
 PARAMETERS: dict[str, Parameter] = {
     "profile": Parameter("robot", "What the pipeline is for.", tuple(PROFILES)),
     "method": Parameter(OF_PROFILE, "Name of the estimator, or profile.", check=_check_method),
-    "grid": Parameter(OF_PROFILE, "Name of the grid, or profile.", (OF_PROFILE, *GRIDS)),
+    "weights": Parameter(
+        "",
+        "Of unet and mc_dropout: file or name of a network; empty for the shipped one of grid and target.",
+        check=_check_weights,
+    ),
+    "passes": Parameter(0, "Of mc_dropout: passes, 2 or more; 0 for the usual 20.", least_and_most=(0, 1000)),
+    "grid": Parameter(
+        OF_PROFILE, "Name of the grid, or profile; with weights, profile is their own.", (OF_PROFILE, *GRIDS)
+    ),
     "target": Parameter("car", "What would have to be seen.", tuple(TARGETS)),
     "history": Parameter(
         -1,
@@ -225,7 +239,10 @@ class NodeSettings:
 
     profile: Profile
     method: str
-    grid: str
+    weights: str
+    passes: int
+    grid: str | None
+    """None is that of the weights."""
     target: str
     history: int
     rate_hz: float
@@ -271,7 +288,7 @@ def read(node: Node) -> NodeSettings:
     made = {
         "profile": profile,
         "method": profile.method if given["method"] == OF_PROFILE else given["method"],
-        "grid": profile.grid if given["grid"] == OF_PROFILE else given["grid"],
+        "grid": given["grid"] if given["grid"] != OF_PROFILE else None if given["weights"] else profile.grid,
         "history": profile.history if given["history"] < 0 else given["history"],
         "rate_hz": _rate_hz(profile, given["rate_hz"]),
         "certify": _threat(given["certify"], profile),

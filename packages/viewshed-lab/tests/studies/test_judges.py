@@ -6,6 +6,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.recordings.read import test_kitti as kitti
+from tests.recordings.read import test_nuscenes as nuscenes
 
 from viewshed.cli import main
 from viewshed.geometry import Rigid
@@ -16,7 +18,7 @@ from viewshed_lab.sim.assets.shapes import Box
 from viewshed_lab.sim.raycast.caster import cast_world
 from viewshed_lab.sim.terrain import Terrain
 from viewshed_lab.sim.world import Thing, World
-from viewshed_lab.studies.judges import BANDS_M, SurveyedGround, near_point, returns_in
+from viewshed_lab.studies.judges import BANDS_M, SurveyedGround, judged_returns, near_point, returns_in
 
 made: Any = import_module("recording_files")
 TIME_NS = 315966265259836000
@@ -107,6 +109,42 @@ def test_returns_in_a_turned_box_and_the_point_where_it_is_looked_up() -> None:
     sweep = Sweep(np.array([*inside, [11.9, 0.0, 0.0], [10.0, 0.0, 0.9], [8.8, 0.0, 0.0]]))
     assert returns_in(box, sweep) == len(inside)
     np.testing.assert_allclose(near_point(Rigid.identity(), box), [9.3, 0.0], atol=1e-9)
+
+
+def test_the_count_of_those_who_drew_a_box_decides_and_a_return_at_its_edge_is_none_of_a_hidden_one() -> None:
+    sweep = Sweep(np.array([[10.0, 0.0, 0.0], [11.05, 0.0, 0.0]]))
+    for told, judged in ((None, 2), (7, 7), (0, 1)):
+        box = ObjectBox(Rigid.from_yaw(0.0, (10.0, 0.0, 0.0)), (2.0, 2.0, 1.5), "car", returns=told)
+        assert judged_returns(box, sweep) == judged
+    far = ObjectBox(Rigid.from_yaw(0.0, (50.0, 0.0, 0.0)), (2.0, 2.0, 1.5), "car", returns=0)
+    assert judged_returns(far, sweep) == 0
+
+
+@pytest.mark.parametrize(("told", "enough"), [(57, "of 2"), (3, "–")])
+def test_boxes_of_nuscenes_are_judged_by_the_annotators_counts(told: int, enough: str, tmp_path: Path) -> None:
+    tables = nuscenes.write_tree(tmp_path, [(nuscenes.made(k), 10**6 * (k + 1), nuscenes.WORLD[k]) for k in range(4)])
+    for row in tables["sample_annotation"]:
+        row["num_lidar_pts"] = told
+    nuscenes.put(tmp_path / "v1.0-mini", tables)
+    page = _run("boxes", str(tmp_path), "--methods", "shadow_map", "--out", str(tmp_path / "page.md"))
+    assert _rows(page, "Vehicles with returns")["shadow_map"][0].endswith(enough)
+    assert f"{0 if told == 57 else 2}\nvehicles with fewer returns" in page
+    assert "survey" not in page
+
+
+def test_boxes_of_kitti_are_judged_by_the_returns_in_them(tmp_path: Path) -> None:
+    kitti.write_objects(tmp_path, {"000007": kitti.made(7)})
+    page = _run("boxes", str(tmp_path), "--methods", "shadow_map", "--out", str(tmp_path / "page.md"))
+    assert _rows(page, "Vehicles without a return")["shadow_map"] == ["–", "–", ".000 of 1", "–"]
+
+
+def test_a_recording_without_boxes_is_refused_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    tables = nuscenes.write_tree(tmp_path, [(nuscenes.made(0), 10**6, nuscenes.WORLD[0])])
+    nuscenes.put(tmp_path / "v1.0-mini", {**tables, "sample_annotation": []})
+    with pytest.raises(SystemExit) as done:
+        main(["evaluate", "boxes", str(tmp_path)])
+    assert done.value.code == 2
+    assert "must hold annotated boxes, got 1 sweeps without one" in capsys.readouterr().err
 
 
 def test_surveyed_ground_agrees_with_the_real_log(real_data: Path, tmp_path: Path) -> None:

@@ -31,7 +31,7 @@ def test_sweeps_are_pooled_whatever_their_order() -> None:
     assert found.counts(KEY.of(WEDGE)).recall == pytest.approx(1 / 3)
     assert found.each(KEY, precision).tolist() == pytest.approx([0.5, 0.75])
     assert found.numbers(KEY, "auprc").tolist() == [0.5]
-    assert (found.sweeps("ugv"), found.sweeps("ugv", PAPER), found.scenes(KEY)) == (2, 0, {"s0", "s2"})
+    assert (found.sweeps("ugv"), found.sweeps("ugv", PAPER), found.scenes(KEY)) == (2, 0, ["s0", "s2"])
     assert found.refused == {("ugv", Case("attack", "replay", "full"), "no earlier sweep"): 2}
     nobody = Series("ugv", "nobody", WALL)
     assert np.isnan([found.counts(nobody).f1, *found.interval([nobody], f1)]).all()

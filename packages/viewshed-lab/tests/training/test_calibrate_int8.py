@@ -3,6 +3,7 @@
 import contextlib
 import io
 import json
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,7 +17,9 @@ from viewshed.networks.runtime import OnnxRunner
 from viewshed_lab.training import TrainConfig
 from viewshed_lab.training import calibrate_int8 as module
 from viewshed_lab.training.calibrate_int8 import quantize
+from viewshed_lab.training.data import archived_samples
 from viewshed_lab.training.onnx_export import export_onnx
+from viewshed_lab.training.samples import TrainingSample, paper_label
 
 pytestmark = pytest.mark.slow
 
@@ -48,6 +51,29 @@ def test_a_network_is_quantized_and_compared(fresh: tuple[TrainConfig, Path], tm
     assert card.trained["seed"] == "1"
     assert quantize(config, network, tmp_path / "again.onnx", 3) == costs
     assert (tmp_path / "again.onnx").read_bytes() == (tmp_path / "bytes.onnx").read_bytes()
+
+
+@pytest.mark.parametrize("variant", ["mle", "mcd"])
+def test_a_network_of_the_papers_label_is_checked_by_that_label_on_its_own_grid(
+    config: TrainConfig, tmp_path: Path, variant: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The archive has exact truth on ±32 m, the network looks ±40 m far."""
+    made = replace(config, truth="paper_label", half_extent_m=40.0, attacks=("paper",), variant=variant)
+    export_onnx(tmp_path / "net.onnx", made.card(), nearby(made.card().shape))
+    checked: list[TrainingSample] = []
+    draw = module._draw
+
+    def drawn(config: TrainConfig, count: int) -> Iterator[TrainingSample]:
+        checked.extend(draw(config, count))
+        return iter(checked)
+
+    monkeypatch.setattr(module, "_draw", drawn)
+    costs = quantize(made, tmp_path / "net.onnx", tmp_path / "bytes.onnx", 3)
+    assert [each.passes for each in costs] == ([1, 20] if variant == "mcd" else [1])
+    sweeps = archived_samples(replace(made, truth="probe", half_extent_m=32.0))
+    labels = [paper_label(sweeps.clean(k).sweep, made.grid, indoor=False) for k in range(len(sweeps))]
+    assert all(any(np.array_equal(each.visible, label) for label in labels) for each in checked)
+    assert all(each.known.all() for each in checked)
 
 
 def test_what_loses_too_much_is_not_written(

@@ -170,7 +170,7 @@ REFUSED = {
         "--threshold must be at least --abstain-below 0.9, got 0.8; leave one of them out",
     f"{UNET} --grid 64x16 --target pedestrian": "target must be car for",
     f"{UNET} --grid 64x16 --passes 4": "passes must be 1 for unet",
-    UNET: "grid must be 64x16 for the network made, got 256x64; ask for that",
+    f"{UNET} --grid road": "grid must be 64x16 for the network made, got 256x64; ask for that",
     f"estimate {GOOD} --method majority_vote --abstain-below 0.9":
         "abstention must be asked of an estimator that says how sure it is, got 0.9 for majority_vote",
     f"estimate {GOOD} --method unet --weights nowhere": "weights must be a file that viewshed train exported",

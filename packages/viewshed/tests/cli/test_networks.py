@@ -1,5 +1,6 @@
 """``viewshed estimate --method unet|mcd`` as a stranger types it."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -40,6 +41,23 @@ def test_a_network_estimates(files: tuple[Path, Path], tmp_path: Path, method: s
     assert (tmp_path / "out" / f"sweep_{method}.geojson").stat().st_size > 100
     assert run("export", *words, "--to", "npz", "--out", tmp_path / "a.npz")[0] == 0
     assert read_npz(tmp_path / "a.npz").method == method
+
+
+@pytest.mark.parametrize("command", ["estimate", "export"])
+def test_grid_and_target_are_those_of_the_weights_where_none_are_given(
+    files: tuple[Path, Path], tmp_path: Path, command: str
+) -> None:
+    sweep, net = files
+    grid = BevGrid(64, 16.0)
+    export_onnx(net, replace(card(SHAPE, grid), target="pedestrian"), nearby(SHAPE))
+    out = {"estimate": ("--out", tmp_path), "export": ("--to", "npz", "--out", tmp_path / "sweep_unet.npz")}[command]
+    assert run(command, sweep, "--weights", net, *(("--method", "unet") if command == "export" else ()), *out)[0] == 0
+    found = read_npz(tmp_path / "sweep_unet.npz")
+    assert (found.grid, found.target.name) == (grid, "pedestrian")
+    code, _, err = run(command, sweep, "--method", "unet", "--weights", net, "--target", "car", *out)
+    assert (code, "target must be pedestrian for the network" in err) == (2, True)
+    code, _, err = run(command, sweep, "--method", "unet", "--weights", net, "--grid", "road", *out)
+    assert (code, "grid must be 64x16 for the network" in err) == (2, True)
 
 
 def test_seeds_and_passes_count(files: tuple[Path, Path], tmp_path: Path) -> None:

@@ -220,7 +220,7 @@ def _box_tables(
         vehicles = [
             box for box in within if all(size >= least for size, least in zip(box.size_m, VEHICLE_M, strict=True))
         ]
-        returns = [returns_in(box, sweep) for box in vehicles]
+        returns = [judged_returns(box, sweep) for box in vehicles]
         left_out += sum(0 < count < target.min_returns for count in returns)
         near = np.array([near_point(level_from_world, box) for box in vehicles])
         for name, estimator in estimators.items() if vehicles else ():
@@ -244,6 +244,15 @@ def _box_tables(
         "bottoms": ground_table(errors) if errors else None,
         "left_out": left_out,
     }
+
+
+def judged_returns(box: ObjectBox, sweep: Sweep) -> int:
+    """Return how many returns a box has by those who drew it, or as they are counted here where they do not say.
+
+    Where they say none and some lie at the edge of the box, it is 1: too few to be visible, too many to be hidden.
+    """
+    counted = returns_in(box, sweep)
+    return counted if box.returns is None else box.returns or min(counted, 1)
 
 
 def returns_in(box: ObjectBox, sweep: Sweep) -> int:

@@ -161,9 +161,9 @@ class Results(Generic[P]):
         """Return how many sweeps of a domain there are counts of."""
         return max((len(self._counted(s)) for s in self.series(domain, protocol)), default=0)
 
-    def scenes(self, series: Series) -> set[str]:
-        """Return the scenes of the sweeps that there are counts of."""
-        return set(self._counted(series)["scene"])
+    def scenes(self, series: Series) -> list[str]:
+        """Return the scene of each sweep that there are counts of."""
+        return list(self._counted(series)["scene"])
 
     def met(self, domain: str, kind: str) -> Results[P]:
         """Return the counts of only those sweeps of a domain that met a kind of case, to compare like with like."""

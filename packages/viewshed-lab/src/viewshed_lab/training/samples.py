@@ -132,7 +132,7 @@ class ArchivedSamples:
 
     archives: tuple[Archive, ...]  # what is read, each a part of a split
     config: TrainConfig  # target and truth
-    labels: PaperLabels | None = None  # of the paper, where they are the truth
+    labels: PaperLabels | None = None  # of the paper, where they are the truth; None makes each when it is needed
 
     def __len__(self) -> int:
         return sum(map(len, self.archives))
@@ -141,8 +141,11 @@ class ArchivedSamples:
         """Return one frame."""
         archive, at = self._place(index)
         sample = archive[at]
+        config = self.config
+        if config.truth == "probe":
+            return CleanSample(sample.sweep, sample.truth.visible(config.target), sample.known)
         if self.labels is None:
-            return CleanSample(sample.sweep, sample.truth.visible(self.config.target), sample.known)
+            return labeled(sample.sweep, paper_label(sample.sweep, config.grid, config.indoor))
         return labeled(sample.sweep, self.labels.of_frame(*archive.locate(at)))
 
     def earlier(self, index: int) -> tuple[Sweep, ...]:

@@ -1,6 +1,7 @@
 """The whole study on one domain of rooms: every step leaves what the next one needs, and nothing is done twice."""
 
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -8,25 +9,33 @@ import sys
 import time
 from collections.abc import Iterator
 from dataclasses import replace
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
 import pytest
 from tests.studies.by_hand import stored
 
+from viewshed.grid import BevGrid
 from viewshed.networks.architecture import UNetShape
 from viewshed.networks.card import NetworkCard
+from viewshed.networks.runtime import OnnxRunner
+from viewshed.networks.weights import manifest
+from viewshed_lab._results import page_files
 from viewshed_lab.studies.cases import TOUCHING
+from viewshed_lab.studies.formatting import format_rate
 from viewshed_lab.studies.paper import tables
 from viewshed_lab.studies.paper.data import evaluation_of, held_out, open_archive
-from viewshed_lab.studies.paper.jobs import Scope, do_job, missing_models, run_study, tampered_of
+from viewshed_lab.studies.paper.jobs import ATTACKED, Scope, do_job, missing_models, run_study, tampered_of
 from viewshed_lab.studies.paper.models import NetworkAlone, config_of, fold_scores
 from viewshed_lab.studies.paper.page import files_of
 from viewshed_lab.studies.paper.plan import PaperPlan
 from viewshed_lab.studies.paper.protocols import setting_of
-from viewshed_lab.studies.paper.published import PaperResults
+from viewshed_lab.studies.paper.published import OTHERS, SUB_TABLES, PaperResults
+from viewshed_lab.studies.records import BENIGN, Series
 from viewshed_lab.studies.runner import Job, ignore_progress
 from viewshed_lab.studies.store import JOBS, ResultStore
+from viewshed_lab.training import calibrate_int8
 
 pytestmark = pytest.mark.slow
 
@@ -109,7 +118,7 @@ def test_scores_of_a_job_are_the_same_when_it_is_done_again(
     key = ("pairs", "strict", "mcd-adversarial-ugv", "ugv", "0")
     again = ResultStore.open(tmp_path, PLAN)
     again.append(key, do_job(Job(PLAN, store.folder, key)))
-    assert stored(again)[key] == stored(store)[key]
+    assert stored(again)[key][0] == stored(store)[key][0]  # the other part says how long it took
 
 
 def test_pages_hold_targets_facts_and_figures(
@@ -124,10 +133,38 @@ def test_pages_hold_targets_facts_and_figures(
         assert all(f"]({name})" in page for name in files if name.endswith(".png"))
         assert all(content.startswith(b"\x89PNG") for name, content in files.items() if name.endswith(".png"))
         assert "Not finished" not in page
+        assert "Monte Carlo dropout is scored on one of every 2 of these sweeps." in page
         assert f"seeds: {PLAN.seed} trained, {PLAN.test_seed} tested" in page
+    published = page_files("paper", files_of(results, "paper")["paper.md"].decode())["paper.md"]
+    headings = [block.lstrip("# ") for block in published.split("\n\n") if block.startswith("#")]
+    assert {table.title for table in (*SUB_TABLES, *OTHERS)} | {"Cross-validation", "Trainings"} <= set(headings)
+    assert published.count("| AUPRC, tested on") == len((*SUB_TABLES, *OTHERS))
     assert {
         "paper_trade.png", "paper_spread.png", "paper_folds.png", "paper_crossval.png", "paper_resolutions.png"
     } <= set(files_of(results, "paper"))  # fmt: skip
+
+
+def test_networks_are_shipped_in_bytes_with_a_page_and_one_that_loses_too_much_is_left_out(
+    study: tuple[ResultStore[PaperPlan], Steps], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (store, _), tool = study, import_module("ship_study")
+    monkeypatch.setattr(calibrate_int8, "MAX_F1_LOSS", 1.0)
+    assert tool.ship_study(store, 1, tmp_path, tmp_path / "models.md") == []
+    page, lines = (tmp_path / "models.md").read_text("utf-8"), manifest(tmp_path)
+    assert set(lines) == {f"paper-{model.name}" for model in PLAN.models(["paper"])}
+    results = PaperResults.read(store)
+    for name, line in lines.items():
+        card = OnnxRunner(tmp_path / line.file, 1).card
+        assert (card.precision, card.truth, card.grid, line.methods) == ("int8", "paper_label", BevGrid(32, 18.0), ())
+        assert f"`{line.sha256[:12]}…` | 32 × 32, ±18 m" in page
+        mixture = name.split("-")[2]
+        case = BENIGN if mixture == "benign" else ATTACKED
+        f1 = results.pairs.counts(Series("ugv", name.removeprefix("paper-"), case, protocol="paper")).f1
+        assert re.search(rf"\| `{name}` \| ugv, {mixture} \|.* {format_rate(f1)} \| – \|", page)
+    monkeypatch.setattr(calibrate_int8, "MAX_F1_LOSS", -1.0)
+    left_out = tool.ship_study(store, 1, tmp_path / "none", tmp_path / "models.md")
+    assert [line.partition(" is left out: F1 in bytes must be")[0] for line in left_out] == list(lines)
+    assert not (tmp_path / "none").exists()
 
 
 def test_pages_say_what_is_missing(study: tuple[ResultStore[PaperPlan], Steps], tmp_path: Path) -> None:
@@ -150,6 +187,14 @@ def test_what_waits_for_a_model_is_told_and_left(tmp_path: Path) -> None:
     assert problems == [
         f"monitor {mixture}: not all of its models are trained" for mixture in ("benign", "adversarial")
     ]
+
+
+def test_data_of_another_seed_are_refused(tmp_path: Path) -> None:
+    store = ResultStore.open(tmp_path, replace(PLAN, seed=PLAN.seed + 7))
+    assert list(run_study(store, Scope(steps=("data",), workers=1), ignore_progress)) == []
+    other = ResultStore(tmp_path, PLAN)
+    with pytest.raises(ValueError, match="ugv-train must be made as the plan tiny says, got sweeps of another recipe"):
+        list(run_study(other, Scope(steps=("monitor",)), ignore_progress))
 
 
 def test_held_out_sweeps_are_of_other_scenes_and_have_a_past(study: tuple[ResultStore[PaperPlan], Steps]) -> None:

@@ -26,11 +26,12 @@ if TYPE_CHECKING:
     from viewshed.sweep import Sweep
 
 
-GridName = Annotated[
-    str,
-    typer.Option(
-        "--grid", help="Cells around the sensor: road, indoor, paper, paper_indoor, or 256x64: 256 a side, out to 64 m."
-    ),
+_GRID_HELP = "Cells around the sensor: road, indoor, paper, paper_indoor, or 256x64: 256 a side, out to 64 m"
+
+GridName = Annotated[str, typer.Option("--grid", help=f"{_GRID_HELP}.")]
+
+GridOfWeights = Annotated[
+    str | None, typer.Option("--grid", help=f"{_GRID_HELP}. If not given, that of --weights, or road.")
 ]
 
 SensorName = Annotated[
@@ -79,7 +80,11 @@ Attitude = Annotated[
 Index = Annotated[
     Path | None, typer.Option("--index", help="JSON file that lists sweeps with their axes, heights and poses.")
 ]
-TargetName = Annotated[str, typer.Option("--target", help="What a cell counts as visible for: car or pedestrian.")]
+_TARGET_HELP = "What a cell counts as visible for: car or pedestrian"
+TargetName = Annotated[str, typer.Option("--target", help=f"{_TARGET_HELP}.")]
+TargetOfWeights = Annotated[
+    str | None, typer.Option("--target", help=f"{_TARGET_HELP}. If not given, that of --weights, or car.")
+]
 Parameters = Annotated[str, typer.Option("--parameters", help="Of the method: sound (ours) or paper (as published).")]
 Sources = Annotated[list[str], typer.Argument(metavar="SRC...", help="A data set, recordings, or files.")]
 Split = Annotated[str | None, typer.Option(help="Only this split of a data set.")]
@@ -465,17 +470,20 @@ class NetworkOptions:
     abstain_below: float | None = None
     device: str = "cpu"
 
-    def estimator(self, method: str | None, grid: BevGrid, target: str, parameters: str = "sound") -> Estimator:
+    def estimator(
+        self, method: str | None, grid: BevGrid | None, target: str | None, parameters: str = "sound"
+    ) -> Estimator:
         """Return the estimator called ``method``; None is the best that is shipped, or the paper's label.
 
-        With the parameters ``paper`` its estimators may be named without ``paper_``.
+        With the parameters ``paper`` its estimators may be named without ``paper_``. Grid and target may be None: those
+        of the weights, or road and car.
         """
         from viewshed.estimators import load_estimator, paper_estimators_on
 
         if parameters not in PARAMETERS:
             raise ValueError(f"parameters must be {' or '.join(PARAMETERS)}, got {parameters!r}")
         if parameters == "paper":
-            known = paper_estimators_on(grid)
+            known = paper_estimators_on(grid or parse_grid("road"))
             method = "paper_label" if method is None else method
             method = f"paper_{method}" if f"paper_{method}" in known else method
         return load_estimator(

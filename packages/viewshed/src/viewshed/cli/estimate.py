@@ -80,11 +80,11 @@ Results = Annotated[
 def estimate(
     files: Files = None,
     method: Method = None,
-    grid: options.GridName = "road",
+    grid: options.GridOfWeights = None,
     reading: Reading = AS_THEY_ARE,
     index: options.Index = None,
     crs: options.Crs = None,
-    target: options.TargetName = "car",
+    target: options.TargetOfWeights = None,
     parameters: options.Parameters = "sound",
     weights: Weights = None,
     passes: Passes = None,
@@ -127,7 +127,7 @@ def estimate(
         raise ValueError("--json and --quiet exclude each other; leave one out")
     kinds = parse_results(results)
     network = NetworkOptions(weights, passes, seed, abstain_below, device)
-    estimator = network.estimator(method, options.parse_grid(grid), target, parameters)
+    estimator = network.estimator(method, None if grid is None else options.parse_grid(grid), target, parameters)
     if history:
         estimator = TemporalEstimator(estimator, SweepBuffer(history), require_confirmation)
     watch = watching(monitor, monitor_file)

@@ -26,12 +26,12 @@ def export(
     ] = "geojson",
     sectors: Annotated[int, typer.Option(help="For cpm: number of sectors of the view.")] = 16,
     method: Annotated[str | None, typer.Option(help="Method, where FILE is a sweep; shadow_map if not given.")] = None,
-    grid: options.GridName = "road",
+    grid: options.GridOfWeights = None,
     reading: Reading = AS_THEY_ARE,
     index: options.Index = None,
     crs: options.Crs = None,
     number: options.Number = 0,
-    target: options.TargetName = "car",
+    target: options.TargetOfWeights = None,
     weights: Weights = None,
     passes: Passes = None,
     seed: Seed = None,
@@ -61,7 +61,7 @@ def export(
     estimator = None
     if not _is_estimate(file):
         network = NetworkOptions(weights, passes, seed, device=device)
-        estimator = network.estimator(method, options.parse_grid(grid), target)
+        estimator = network.estimator(method, None if grid is None else options.parse_grid(grid), target)
         stem = stem_of_result(stem, estimator.name)
     place = place_of_result(out, stem + exporter.suffix)
     refuse_inputs([place], [file])

@@ -120,8 +120,8 @@ def paper_estimators_on(grid: BevGrid) -> dict[str, EstimatorFactory]:
 def load_estimator(
     name: str | Path | None = None,
     *,
-    grid: str | BevGrid = "road",
-    target: str | Target = "car",
+    grid: str | BevGrid | None = None,
+    target: str | Target | None = None,
     device: str = "cpu",
     weights: str | Path | None = None,
     passes: int | None = None,
@@ -133,8 +133,8 @@ def load_estimator(
     Args:
         name: of :data:`ESTIMATORS`, of the paper's estimators or of an installed package's; a network's file; None is
             :data:`DEFAULT_ESTIMATOR`, or ``unet`` with ``weights``.
-        grid: a name of :data:`GRIDS`, or a grid.
-        target: a name of :data:`TARGETS`, or a target.
+        grid: a name of :data:`GRIDS`, or a grid; None is that of the weights, or ``road``.
+        target: a name of :data:`TARGETS`, or a target; None is that of the weights, or ``car``.
         device: of a network, ``cpu`` or ``cuda``.
         weights: of a network: a file, or a name of shipped weights.
         passes: of ``mc_dropout``, at least 2.
@@ -148,7 +148,7 @@ def load_estimator(
     >>> load_estimator("shadow_map", grid="indoor", target="pedestrian").name
     'shadow_map'
     """
-    cells, thing = grid_named(grid), target_named(target)
+    cells, thing = None if grid is None else grid_named(grid), None if target is None else target_named(target)
     if isinstance(name, Path) or (name is not None and str(name).endswith(".onnx")):
         if weights is not None:
             raise ValueError(f"weights must be left out where a file is named, got {name} and {weights}; name one")
@@ -163,6 +163,7 @@ def load_estimator(
             method, cells, thing, weights=weights, passes=passes, seed=seed or 0, device=device
         )
     else:
+        cells, thing = cells or grid_named("road"), thing or target_named("car")
         known = {**CLASSICAL, **paper_estimators_on(cells)}
         if method not in known:
             added = plugins("estimators")

@@ -16,7 +16,7 @@ from viewshed.estimators.classical import NEVER_ABSTAIN, checked_abstention, che
 from viewshed.estimators.temporal import stream
 from viewshed.fov.estimate import CellState, FovEstimate
 from viewshed.fov.visibility import CAR, TARGETS, Target
-from viewshed.grid import BevGrid
+from viewshed.grid import GRIDS, BevGrid
 from viewshed.networks.card import NetworkCard, Runner
 from viewshed.networks.mc_dropout import mean_and_deviation
 from viewshed.networks.runtime import load_runner
@@ -194,8 +194,8 @@ class UnetEstimator:
 
 def load_network(
     method: str,
-    grid: BevGrid,
-    target: Target = CAR,
+    grid: BevGrid | None = None,
+    target: Target | None = None,
     *,
     weights: str | Path | None = None,
     passes: int | None = None,
@@ -206,8 +206,8 @@ def load_network(
 
     Args:
         method: ``unet`` (one pass, dropout off) or ``mc_dropout``.
-        grid: must be the one that the weights were trained for.
-        target: must be the one that the weights were trained for.
+        grid: must be the one that the weights were trained for; None is that one, and without weights ``road``.
+        target: must be the one that the weights were trained for; None is that one, and without weights a car.
         weights: a file, or a name of shipped weights; None takes those shipped for the grid and the target.
         passes: of ``mc_dropout``, at least 2; None is ``PASSES``.
         seed: of the dropout masks.
@@ -225,9 +225,10 @@ def load_network(
     if passes is not None and (passes < 2) == several:
         rule = "at least 2 for mc_dropout; use unet for one pass" if several else "1 for unet; use mc_dropout"
         raise ValueError(f"passes must be {rule}, got {passes}")
-    weights = default_name(method, grid, target.name) if weights is None else weights
+    if weights is None:
+        weights = default_name(method, grid or GRIDS["road"], (target or CAR).name)
     runner = load_runner(weights, engine=DEVICES[device])
-    runner.card.require(grid, target.name)
+    runner.card.require(grid or runner.card.grid, runner.card.target if target is None else target.name)
     return UnetEstimator(runner, passes or PASSES if several else 1, seed, method)
 
 
@@ -249,8 +250,8 @@ class NetworkFactory(Protocol):
 
     def __call__(
         self,
-        grid: BevGrid,
-        target: Target = CAR,
+        grid: BevGrid | None = None,
+        target: Target | None = None,
         *,
         weights: str | Path | None = None,
         passes: int | None = None,

@@ -1,4 +1,6 @@
-"""Weights that travel with the package: a manifest of names, files and checksums.
+"""Weights that travel with a package: a manifest of names, files and checksums.
+
+Other installed packages add folders of weights by entry points of the group ``viewshed.weights``.
 
 A checksum inside a network's file: its last entry of metadata is the SHA-256 of all bytes before it. It finds damage,
 not forgery: anybody can compute it. :mod:`viewshed.networks.inspection` bounds what a file may make an engine do.
@@ -11,6 +13,7 @@ import json
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+from viewshed._extras import plugins
 from viewshed._files import write_atomic
 from viewshed.grid import BevGrid
 
@@ -55,7 +58,7 @@ def verify_checksum(content: bytes, name: str) -> None:
 
 
 WEIGHTS = Path(__file__).parent / "weights"
-"""Folder of the shipped weights."""
+"""Folder of the weights that viewshed itself ships."""
 
 _MANIFEST = "manifest.json"
 
@@ -83,30 +86,37 @@ def manifest(folder: Path = WEIGHTS) -> dict[str, ShippedWeights]:
     return {line["name"]: ShippedWeights(**{**line, "methods": tuple(line["methods"])}) for line in lines}
 
 
-def shipped_names(folder: Path = WEIGHTS) -> tuple[str, ...]:
-    """Return the names of the shipped weights."""
-    return tuple(manifest(folder))
+def _folders() -> dict[Path, str]:
+    """Return the folders of shipped weights with the package that brings each, that of viewshed first."""
+    added = plugins("weights").values()
+    return {WEIGHTS: "viewshed"} | {point.load(): point.dist.name if point.dist else point.name for point in added}
 
 
-def shipped_content(name: str, folder: Path = WEIGHTS) -> bytes:
+def shipped_names() -> tuple[str, ...]:
+    """Return the names of the weights that viewshed and other installed packages ship."""
+    return tuple(dict.fromkeys(name for folder in _folders() for name in manifest(folder)))
+
+
+def shipped_content(name: str) -> bytes:
     """Return the bytes of the shipped weights called ``name``.
 
     Raises:
         ValueError: the file is not the one that was shipped.
     """
+    folder, package = next((folder, package) for folder, package in _folders().items() if name in manifest(folder))
     line = manifest(folder)[name]
     content = (folder / line.file).read_bytes()
     actual = hashlib.sha256(content).hexdigest()
     if actual != line.sha256:
         raise ValueError(
             f"{line.file} must have the checksum {line.sha256[:10]}…, got {actual[:10]}…: it is damaged; install"
-            " viewshed again"
+            f" {package} again"
         )
     return content
 
 
 def default_name(method: str, grid: BevGrid, target: str, folder: Path = WEIGHTS) -> str:
-    """Return the name of the shipped weights that ``method`` takes on ``grid`` for the target of this name.
+    """Return the name of viewshed's own weights that ``method`` takes on ``grid`` for the target of this name.
 
     Raises:
         ValueError: none are shipped for it.

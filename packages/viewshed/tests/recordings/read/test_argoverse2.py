@@ -28,7 +28,7 @@ def test_a_log_gives_sweep_pose_and_boxes(tmp_path: Path) -> None:
     [box] = source.boxes(ref) or ()
     np.testing.assert_allclose(box.center, CITY_FROM_CAR @ np.array([8.0, 3.0, 0.7]), atol=1e-9)
     assert box.yaw == pytest.approx(4 * np.arctan2(0.6, 0.8))
-    assert (box.size_m, box.category, box.track) == ((4.0, 1.8, 1.5), "REGULAR_VEHICLE", "a-1")
+    assert (box.size_m, box.category, box.track, box.returns) == ((4.0, 1.8, 1.5), "REGULAR_VEHICLE", "a-1", 41)
 
 
 def test_without_poses_boxes_are_in_the_sensors_frame_and_without_annotations_there_are_none(tmp_path: Path) -> None:

@@ -63,11 +63,11 @@ def write_tree(root: Path, sweeps: list[tuple[bytes, int, Rigid]], version: str 
         ]  # fmt: skip
     tables["sample_annotation"] = [
         {"token": "an0", "sample_token": "sa0", "instance_token": "i0", "size": [1.9, 4.6, 1.7],
-         "translation": [373.2, 1130.4, 0.8], "rotation": [0.0, 0.0, 0.0, 1.0]},
+         "translation": [373.2, 1130.4, 0.8], "rotation": [0.0, 0.0, 0.0, 1.0], "num_lidar_pts": 57},
         {"token": "an1", "sample_token": "sa0", "instance_token": "i1", "size": [0.6, 0.7, 1.8],
          "translation": [380.0, 1120.0, 0.9], "rotation": [0.7071067811865476, 0.0, 0.0, 0.7071067811865476]},
         {"token": "an2", "sample_token": "sa2", "instance_token": "i0", "size": [1.9, 4.6, 1.7],
-         "translation": [374.0, 1130.4, 0.8], "rotation": [0.0, 0.0, 0.0, 1.0]},
+         "translation": [374.0, 1130.4, 0.8], "rotation": [0.0, 0.0, 0.0, 1.0], "num_lidar_pts": 8},
     ]  # fmt: skip
     put(root / version, tables)
     return tables
@@ -136,9 +136,11 @@ def test_boxes_of_keyframes_are_in_the_world_with_length_along_the_heading(tree:
     assert (car.category, car.track, car.size_m) == ("vehicle.car", "i0", (4.6, 1.9, 1.7))
     assert car.center.tolist() == [373.2, 1130.4, 0.8]
     assert abs(car.yaw) == pytest.approx(np.pi)
+    assert (car.returns, person.returns) == (57, None)
     assert person.category == "human.pedestrian.adult"
     assert person.yaw == pytest.approx(np.pi / 2)
-    assert [box.track for box in source.boxes(between) or ()] == ["i0"]
+    # The count of a keyframe is not that of a sweep before it.
+    assert [(box.track, box.returns) for box in source.boxes(between) or ()] == [("i0", None)]
     assert [box.track for box in source.boxes(last) or ()] == ["i0"]
 
 

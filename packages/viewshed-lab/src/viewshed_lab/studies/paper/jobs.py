@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -17,6 +17,7 @@ from viewshed.networks.card import Runner
 from viewshed.preprocess.leveling import level
 from viewshed.sweep import Sweep
 from viewshed_lab._jobs import Engine, LocalEngine
+from viewshed_lab.data.simulated import recipe_of
 from viewshed_lab.studies.cases import DEFAULT, apply, corruption_cases, generator, strength_cases
 from viewshed_lab.studies.evaluate import Evaluation
 from viewshed_lab.studies.paper.data import SPLITS, evaluation_of, held_out, make_archive, open_archive, preset_of
@@ -100,7 +101,7 @@ def _pair(job: Job[PaperPlan]) -> JobResult:
 
 
 def pair_rows(
-    plan: PaperPlan, folder: Path, setting: ProtocolSetting, suite: EstimatorSuite, numbers: range
+    plan: PaperPlan, folder: Path, setting: ProtocolSetting, suite: EstimatorSuite, numbers: Sequence[int]
 ) -> list[Row]:
     """Return the counts of some held-out sweeps, benign and attacked, and the scores of all of them together."""
     counts: list[Row] = []
@@ -274,9 +275,14 @@ def _check_data(store: ResultStore[PaperPlan]) -> None:
     for domain in store.plan.domains:
         for split in SPLITS:
             try:
-                open_archive(store.folder, domain, split)
+                archive = open_archive(store.folder, domain, split)
             except (ValueError, OSError) as error:
                 raise ValueError(f"{error}; the other steps need the step data") from error
+            if archive.manifest.recipe != recipe_of(preset_of(store.plan, domain, split)):
+                raise ValueError(
+                    f"{archive.store.place} must be made as the plan {store.plan.name} says, got sweeps of another"
+                    " recipe; move it away and run the step data"
+                )
 
 
 def make_data(store: ResultStore[PaperPlan], scope: Scope, on_progress: Progress) -> None:

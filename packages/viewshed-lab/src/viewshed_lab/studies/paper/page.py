@@ -248,13 +248,9 @@ def files_of(results: PaperResults, protocol: str) -> dict[str, bytes]:
 
 def provenance(results: PaperResults, protocol: str) -> dict[str, str]:
     """Return what a page rests on, by name."""
-    plan = results.plan
-    sweeps = []
-    for domain in sorted(plan.domains):
-        if several := results.pairs.series(domain, protocol):
-            count, scenes = results.pairs.sweeps(domain, protocol), results.pairs.scenes(several[0])
-            sweeps.append(f"{domain} {count} of {len(scenes)} scenes")
-    shape = f"{plan.cells} × {plan.cells} cells, width {plan.width}, depth {plan.depth}, dropout {plan.dropout:g}"
+    plan, chosen = results.plan, chosen_of(results.plan, results.store.folder)
+    of, by = (plan, "") if chosen is None else (chosen, ", chosen by cross-validation")
+    shape = f"{plan.cells} × {plan.cells} cells, width {plan.width}, depth {plan.depth}, dropout {of.dropout:g}{by}"
     seen = ", ".join(plan.trained_attacks)
     attacks = {
         PAPER: "the paper's mixture, in training and test",
@@ -264,10 +260,35 @@ def provenance(results: PaperResults, protocol: str) -> dict[str, str]:
         "plan": f"{plan.name}: {plan.about}", "seeds": f"{plan.seed} trained, {plan.test_seed} tested",
         "network": f"{shape}; {plan.passes} passes for MCD",
         "training": f"at most {plan.epochs} epochs of {plan.frames_per_epoch} sweeps, batches of {plan.batch}, "
-        f"{plan.loss}, Adam {plan.learning_rate:g} ({plan.schedule}), stopped after {plan.patience} without gain",
-        "held-out sweeps": ", ".join(sweeps), "attacks": attacks[protocol],
+        f"{plan.loss}, Adam {of.learning_rate:g}{by} ({plan.schedule}), stopped after {plan.patience} without gain",
+        **({"hours of the jobs, added up": hours} if (hours := _hours(results, protocol)) else {}),
+        "held-out sweeps": ", ".join(_held_out_words(results, protocol)), "attacks": attacks[protocol],
         "commits of the run": commits(results.pairs, results.strict, results.trade, results.monitor),
     }  # fmt: skip
+
+
+def _hours(results: PaperResults, protocol: str) -> str:
+    """Return how long the jobs of each step took, added up, where they were timed."""
+    facts = {**results.store.results("crossval").facts, **results.pairs.facts, **results.trade.facts}
+    facts |= {("models", *name): of for name, of in results.models.items()}
+    words = []
+    for step, name in {"crossval": "folds", "models": "trainings", "pairs": "pairs", "trade": "trade study"}.items():
+        keys = results.plan.job_keys_of(step, [protocol])
+        seconds = [facts[key]["seconds"] for key in keys if "seconds" in facts.get(key, ())]
+        words += [f"{name} {sum(seconds) / 3600:.2f}"] if seconds else []
+    return ", ".join(words)
+
+
+def _held_out_words(results: PaperResults, protocol: str) -> Iterator[str]:
+    """Yield how many sweeps of how many scenes the pairs of a domain are scored on; of MCD where it takes fewer."""
+    for domain in sorted(results.plan.domains):
+        every, words = results.pairs.series(domain, protocol), []
+        for mcd in (False, True):
+            each = [results.pairs.scenes(s) for s in every if results.plan.is_mcd(s.method) == mcd]
+            if most := max(each, key=len, default=[]):
+                words.append(f"{len(most)} of {len(set(most))} scenes")
+        if words:
+            yield f"{domain} {words[0]}" + "".join(f" (MCD {word})" for word in words[1:] if word != words[0])
 
 
 def _unfinished(results: PaperResults, protocol: str) -> str:

@@ -200,14 +200,19 @@ class PaperPlan(Plan):
         """Return whether a name is that of a model that takes several passes."""
         return name.startswith(VARIANTS[1])
 
-    def parts(self, domain: str, mcd: bool) -> list[range]:
+    def parts(self, domain: str, mcd: bool) -> list[list[int]]:
         """Return the numbers of the held-out sweeps of a domain's pairs, part by part.
+
+        Numbers go through the scenes in turn: which of every ``mcd_every`` sweeps is taken moves on with each turn, so
+        that no scene is left out whatever their number.
 
         >>> plan = PaperPlan.load("tiny")
         >>> [list(part) for part in plan.parts("ugv", mcd=False)], [list(part) for part in plan.parts("ugv", mcd=True)]
         ([[0, 1], [2]], [[0, 2]])
         """
-        numbers = range(0, self.pair_frames[self.domains.index(domain)], self.mcd_every if mcd else 1)
+        place, every = self.domains.index(domain), self.mcd_every if mcd else 1
+        frames, scenes = self.pair_frames[place], self.test_scenes[place]
+        numbers = [number for first in range(0, frames, every) if (number := first + first // scenes % every) < frames]
         return [numbers[start : start + self.pair_part] for start in range(0, len(numbers), self.pair_part)]
 
     def models(self, protocols: Sequence[str] = PROTOCOLS) -> list[Model]:

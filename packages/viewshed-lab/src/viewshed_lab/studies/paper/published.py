@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
@@ -119,19 +119,17 @@ class PublishedTarget:
 
 
 def targets_of(results: PaperResults) -> list[PublishedTarget]:
-    """Return the targets of the paper's protocol beside what was reached."""
-    in_domain = [(BENIGN_TABLE, 0.95), (ADVERSARIAL, 0.95), (ADVERSARIAL_MCD, 0.94)]
-    worst = [(BENIGN_TABLE, 0.90), (ADVERSARIAL, 0.88)]
+    """Return the targets of the paper's protocol, those of the plan ``medium``, beside what was reached."""
+    in_domain = [(BENIGN_TABLE, (0.93, 0.92, 0.91)), (ADVERSARIAL, (0.93, 0.91, 0.90))]
+    worst = [(BENIGN_TABLE, 0.89), (ADVERSARIAL, 0.87)]
     targets = [target for table, least in in_domain for target in _in_domain(results, table, least)]
     return targets + [_worst(results, table, least) for table, least in worst]
 
 
-def _in_domain(results: PaperResults, table: SubTable, least: float) -> Iterator[PublishedTarget]:
-    words = f"in-domain F1, {table.tested}{', MCD' if table.variant == 'mcd' else ''}"
-    for domain in ORDER:
-        yield PublishedTarget(
-            f"{words}, {domain}", _paper_f1(table, domain, domain), least, *_f1(results, table, domain, domain)
-        )
+def _in_domain(results: PaperResults, table: SubTable, least: Sequence[float]) -> Iterator[PublishedTarget]:
+    for domain, target in zip(ORDER, least, strict=True):
+        what, published = f"in-domain F1, {table.tested}, {domain}", _paper_f1(table, domain, domain)
+        yield PublishedTarget(what, published, target, *_f1(results, table, domain, domain))
 
 
 def _worst(results: PaperResults, table: SubTable, least: float) -> PublishedTarget:

@@ -1,8 +1,8 @@
 """Attacks on the whole cloud, and below the sensor's driver (families 18 to 21).
 
 A shifted axis, noise of the size of the sensor's own and a blinded sensor are those of a public data set of spoofed
-drives. Mirrors are those of arXiv 2509.17253. Trojans in a driver are those of arXiv 2303.03470: they write points into
-the cloud, or take them out, and no beam has to agree.
+drives, Allenpandas/LiDAR-Spoofing-Forensics-Datasets. Mirrors are those of arXiv 2509.17253. Trojans in a driver are
+those of arXiv 2303.03470: they write points into the cloud, or take them out, and no beam has to agree.
 """
 
 from __future__ import annotations

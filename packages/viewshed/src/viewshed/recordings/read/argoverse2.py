@@ -28,6 +28,7 @@ SWEEPS, POSES, BOXES = "sensors/lidar", "city_SE3_egovehicle.feather", "annotati
 
 _POSE = ("qw", "qx", "qy", "qz", "tx_m", "ty_m", "tz_m")
 _SIZE = ("length_m", "width_m", "height_m")
+_RETURNS = "num_interior_pts"
 _MOST_BYTES = 256_000_000
 
 
@@ -51,7 +52,8 @@ class Argoverse2(RecordingSource):
 
     def _boxes(self, ref: SweepRef) -> tuple[ObjectBox, ...] | None:
         """Return the annotated objects at the time of a sweep; None where the log has no annotations."""
-        table = self._table(_log_of(ref) / BOXES, (*_POSE, *_SIZE, "timestamp_ns"), ("category", "track_uuid"))
+        numbers, words = (*_POSE, *_SIZE, "timestamp_ns"), ("category", "track_uuid")
+        table = self._table(_log_of(ref) / BOXES, numbers, words, (_RETURNS,))
         if table is None:
             return None
         # Without a pose the sensor's frame stands for the world.
@@ -62,6 +64,7 @@ class Argoverse2(RecordingSource):
             ObjectBox(
                 world_from_car @ Rigid.from_quaternion(pose[:4], pose[4:]), (length, width, height),
                 str(table["category"][row]), str(table["track_uuid"][row]),
+                int(table[_RETURNS][row]) if _RETURNS in table else None,
             )
             for row, pose, (length, width, height) in zip(rows, poses, sizes.tolist(), strict=True)
         )  # fmt: skip
@@ -85,13 +88,15 @@ class Argoverse2(RecordingSource):
         pose = np.array([table[name][row] for name in _POSE])
         return Rigid.from_quaternion(pose[:4], pose[4:])
 
-    def _table(self, path: Path, numbers: Sequence[str], words: Sequence[str] = ()) -> dict[str, NDArray[Any]] | None:
-        """Return the columns of a table of a log, None where it has none; read once."""
+    def _table(
+        self, path: Path, numbers: Sequence[str], words: Sequence[str] = (), optional: Sequence[str] = ()
+    ) -> dict[str, NDArray[Any]] | None:
+        """Return a log's table by column, None where it has none; read once. ``optional`` columns may be missing."""
         if path not in self._tables and not path.is_file():
             self._tables[path] = None
         if path not in self._tables:
             with open_input(inside(self.place, path)) as source:
-                table = read_feather(source.content(_MOST_BYTES), numbers, words)
+                table = read_feather(source.content(_MOST_BYTES), (*numbers, *optional), words)
                 names = (*numbers, *words)
                 missing = [name for name in names if name not in table]
                 if missing:

@@ -23,6 +23,8 @@ SENSOR = "hdl32e"
 
 _TABLE = "sample_data.json"
 
+_MOST_RETURNS = 1 << 31
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Annotations:
@@ -34,6 +36,7 @@ class Annotations:
     # damaged
     values: NDArray[np.float64]
     instances: list[str]  # token of the object, by row
+    returns: array[int]  # of the LiDAR in the box, by row; -1 where it is not said
     categories: dict[str, str]  # token of the object → name of its category
 
     @classmethod
@@ -46,12 +49,14 @@ class Annotations:
         categories = {token: names[category] for token, category in objects if category in names}
         place = folder / "sample_annotation.json"
         rows: dict[str, array[int]] = {}
-        values, instances = array("d"), []
+        values, instances, returns = array("d"), [], array("q")
         for number, row in enumerate(rows_of_table(place)):
             rows.setdefault(str(row.get("sample_token")), array("q")).append(number)
             instances.append(intern(str(row.get("instance_token"))))
+            count = row.get("num_lidar_pts")
+            returns.append(count if isinstance(count, int) and 0 <= count <= _MOST_RETURNS else -1)
             values.extend(floats_of([row.get(key) for key in ("rotation", "translation", "size")], (4, 3, 3)))
-        return cls(place, rows, np.array(values).reshape(-1, 10), instances, categories)
+        return cls(place, rows, np.array(values).reshape(-1, 10), instances, returns, categories)
 
     def of(self, sample: str) -> tuple[ObjectBox, ...] | None:
         """Return the boxes of a sample; None where the version has no annotations at all."""
@@ -70,7 +75,8 @@ class Annotations:
 
     def _mixed(self, old: int, new: int, share: float) -> ObjectBox:
         earlier, later = self._box(old), self._box(new)
-        return replace(later, world_from_box=between(earlier.world_from_box, later.world_from_box, share))
+        pose = between(earlier.world_from_box, later.world_from_box, share)
+        return replace(later, world_from_box=pose, returns=None)
 
     def _box(self, row: int) -> ObjectBox:
         instance = self.instances[row]
@@ -80,7 +86,8 @@ class Annotations:
         with problems_of(f"{self.place}: row {row}"):
             pose = Rigid.from_quaternion(quaternion, center)
             size_m = (float(length), float(width), float(height))
-            return ObjectBox(pose, size_m, self.categories[instance], instance)
+            returns = None if self.returns[row] < 0 else self.returns[row]
+            return ObjectBox(pose, size_m, self.categories[instance], instance, returns)
 
 
 class Nuscenes(RecordingSource):

@@ -48,6 +48,7 @@ class ObjectBox:
     size_m: tuple[float, float, float]  # its length (x), width (y) and height (z), meters
     category: str  # what it is, in the recording's own words
     track: str | None = None  # the same for one object over time, or None
+    returns: int | None = None  # of the sweep in the box, as the recording counts them; None where it does not
 
     def __post_init__(self) -> None:
         size = np.asarray(self.size_m, np.float64)

@@ -1,0 +1,116 @@
+"""Put a study's networks into the laboratory, in bytes, and write their page: ``python tools/ship_study.py STUDY``.
+
+The networks are those of the paper's protocol. Each is quantized as ``viewshed quantize`` does it and written with its
+checksum into ``viewshed_lab/networks``; one that would lose more than .002 F1 is left out, with a line and exit code 1.
+The page says of each what it is, how it was trained, and what it scored in the study.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+
+from ship_weights import ship
+
+from viewshed.networks.weights import ShippedWeights
+from viewshed_lab._page import facts, table
+from viewshed_lab._results import write_page
+from viewshed_lab.networks import WEIGHTS
+from viewshed_lab.studies.formatting import format_rate
+from viewshed_lab.studies.pages import fill_template
+from viewshed_lab.studies.paper.data import preset_of
+from viewshed_lab.studies.paper.models import config_of, weights_of
+from viewshed_lab.studies.paper.page import provenance
+from viewshed_lab.studies.paper.plan import Model, PaperPlan
+from viewshed_lab.studies.paper.published import OTHERS, SUB_TABLES, PaperResults
+from viewshed_lab.studies.records import PAPER
+from viewshed_lab.studies.store import ResultStore
+from viewshed_lab.training.calibrate_int8 import FRAMES, QuantizationCost, quantize
+
+OUT = Path(__file__).resolve().parents[1] / "docs" / "results" / "models.md"
+
+
+def main(words: Sequence[str] | None = None) -> int:
+    """Quantize, copy and list the networks, write the page, and return the exit code."""
+    parser = argparse.ArgumentParser(prog="ship_study.py", description=__doc__)
+    parser.add_argument("study", type=Path, help="folder of a finished study paper")
+    parser.add_argument("--preset", default="medium", help="its plan")
+    parser.add_argument("--frames", type=int, default=FRAMES, help="sweeps that calibrate; as many others check")
+    parser.add_argument("--folder", type=Path, default=WEIGHTS)
+    parser.add_argument("--page", type=Path, default=OUT)
+    chosen = parser.parse_args(words)
+    store = ResultStore.open(chosen.study, PaperPlan.load(chosen.preset))
+    left_out = ship_study(store, chosen.frames, chosen.folder, chosen.page)
+    for line in left_out:
+        print(line, file=sys.stderr)
+    return 1 if left_out else 0
+
+
+def ship_study(store: ResultStore[PaperPlan], frames: int, folder: Path, page: Path) -> list[str]:
+    """Ship the networks of the paper's protocol, write their page, and return a line for each that is left out."""
+    results, files, models, left_out = PaperResults.read(store), list[list[str]](), list[Model](), list[str]()
+    every = store.plan.models([PAPER])
+    missing = [model.name for model in every if model.key[1:] not in results.models]
+    if missing:
+        raise ValueError(f"{store.folder} must hold all networks of the paper's protocol, got no {', '.join(missing)}")
+    for model in every:
+        config = config_of(store.plan, store.folder, model)
+        with tempfile.TemporaryDirectory() as place:
+            small = Path(place) / "network.onnx"
+            try:
+                costs = quantize(config, weights_of(store.folder, model), small, frames)
+            except ValueError as error:
+                left_out.append(f"{config.name} is left out: {error}")
+                continue
+            size = small.stat().st_size
+            files.append(_file_row(ship(small, config.name, (), folder), size, costs))
+            models.append(model)
+    values = {
+        "plan": store.plan, "files": table(["name", "KB", "SHA-256", "grid", "F1 lost to bytes, by passes"], files),
+        "trainings": table(
+            ["name", "trained on", "attacked", "dropout", "learning rate", "epochs", "best", "validation F1"],
+            [_training_row(results, model) for model in models],
+        ),
+        "scores": table(
+            ["name", "tested on", "precision", "recall", "accuracy", "F1", "F1 elsewhere"],
+            [_score_row(results, model) for model in models],
+        ),
+    }  # fmt: skip
+    filled = fill_template("paper/models.md", **values)
+    write_page(page, filled.markdown(facts(**provenance(results, PAPER))))
+    return left_out
+
+
+def _file_row(line: ShippedWeights, size: int, costs: Sequence[QuantizationCost]) -> list[str]:
+    lost = ", ".join(f"{cost.passes}: {cost.f1 - cost.f1_int8:.4f}" for cost in costs)
+    grid = f"{line.cells} × {line.cells}, ±{line.half_extent_m:g} m"
+    return [f"`{line.name}`", f"{size / 1000:.0f}", f"`{line.sha256[:12]}…`", grid, lost]
+
+
+def _training_row(results: PaperResults, model: Model) -> list[str]:
+    config, found = config_of(results.plan, results.store.folder, model), results.models[model.key[1:]]
+    preset = preset_of(results.plan, model.domain, "train")
+    best = found["history"][found["best"] - 1]
+    return [
+        f"`{config.name}`", f"{model.domain}: {preset.sweeps:,} sweeps of {preset.scenes[0]:,} scenes",
+        f"{config.attack_share:.0%}", f"{config.shape.dropout:g}", f"{config.learning_rate:g}",
+        str(len(found["history"])), str(found["best"]), format_rate(best["f1"]),
+    ]  # fmt: skip
+
+
+def _score_row(results: PaperResults, model: Model) -> list[str]:
+    """Return precision, recall, accuracy and F1 in the own domain, and F1 in the others, tested as it was trained."""
+    kind = (model.variant, model.mixture, model.mixture)
+    [of] = [one for one in (*SUB_TABLES, *OTHERS) if (one.variant, one.trained, one.tested) == kind]
+    counts = {test: results.pairs.counts(of.key(PAPER, test, model.domain)) for test in results.domains}
+    own = counts.pop(model.domain)
+    elsewhere = ", ".join(f"{test} {format_rate(one.f1)}" for test, one in counts.items())
+    rates = map(format_rate, (own.precision, own.recall, own.accuracy, own.f1))
+    return [f"`{PAPER}-{model.name}`", f"{model.domain}, {model.mixture}", *rates, elsewhere or "–"]
+
+
+if __name__ == "__main__":
+    sys.exit(main())
