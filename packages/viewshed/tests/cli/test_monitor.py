@@ -13,7 +13,9 @@ from tests.networks.made import card, nearby
 from viewshed import Sweep, open_recording, write_sweep
 from viewshed.cli import main
 from viewshed.cli._verdicts import stream_monitor
-from viewshed.monitor import load_calibration, load_monitor
+from viewshed.cli.monitor import _Drives, _odd_sweeps
+from viewshed.monitor import Calibration, load_calibration, load_monitor
+from viewshed.monitor.evidence import EVIDENCE, SECTORS
 from viewshed_lab.training.onnx_export import export_onnx
 from viewshed_lab.training.unet_torch import Stage, UNet
 
@@ -80,14 +82,33 @@ def test_an_own_vehicle_is_calibrated_from_a_minute_and_fewer_alarms_need_more(t
     assert run(*words)[0] == 0
     for number, sweep in enumerate(open_recording(bag)):
         write_sweep(sweep.replace(t_ns=5 * number * 10**9), drive / f"{number:02}.npz")
+    write_sweep(Sweep(np.zeros((0, 3), np.float32), t_ns=32 * 10**9 + 5 * 10**8), drive / "06_covered.npz")
     code, said, err = run("monitor", "calibrate", drive, "--out", out)
     assert (code, err) == (0, "")
     assert "calibrated on 12 sweeps of 1 drives" in said
+    assert "left out as impossible: 1 sweeps, 06_covered.npz" in said
     assert load_calibration(out).hours * 60 == pytest.approx(1.0, abs=0.02)
     assert stream_monitor(out).limit == load_calibration(out).limit(stream_monitor(out).per_hour)
     code, _, err = run("monitor", "calibrate", drive, "--out", out, "--per-hour", 1)
     assert code == 2
     assert "1 false alarms an hour need 60 minutes of benign driving, got 1.0" in err
+
+
+@pytest.mark.slow
+def test_attacked_drives_and_those_of_another_sensor_are_named() -> None:
+    rng = np.random.default_rng(5)
+    drawn = rng.exponential(1.0, (7, 150, len(EVIDENCE), SECTORS)).astype(np.float32)
+    base = Calibration.fit(list(drawn[:5]), 2.5)
+    names = [[f"{drive}/{number}" for number in range(150)] for drive in (5, 6)]
+    for every, word in (
+        (50, r"left out as attacked, .*: \d+ sweeps .* at one alarm an hour, 5/20"),
+        (6, r"limit is \d+\.\d+, that before \d\.\d+: attacked, or another sensor; \d+ sweeps .* and \d+ more"),
+    ):
+        attacked = drawn[5:].copy()
+        attacked[:, 20::every] *= 1000.0
+        drives = _Drives(list(attacked), names, 2.5, [])
+        (line,) = _odd_sweeps(drives, Calibration.fit(drives.streams, 2.5, base=base), base, 30.0)
+        assert re.search(word, line), line
 
 
 def test_an_empty_sweep_is_an_alarm_and_no_error(place: Path) -> None:

@@ -17,7 +17,7 @@ from viewshed.cli._options import AUTO, MonitorFile, Passes, Reading, Seed, Weig
 from viewshed.cli._outputs import Failures, free_name, make_folder, refuse_inputs, stem_of, with_bar
 from viewshed.cli._places import chosen_files, place_of_result
 from viewshed.cli._stream import placed_sweeps
-from viewshed.cli._terminal import BAD_INPUTS
+from viewshed.cli._terminal import BAD_INPUTS, note
 from viewshed.cli._verdicts import stream_monitor, stream_verdicts, verdicts
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from viewshed.estimators import Estimator
     from viewshed.estimators.unet import UnetEstimator
     from viewshed.grid import BevGrid
-    from viewshed.monitor import DeviationMonitor, IntegrityReport, StreamMonitor
+    from viewshed.monitor import Calibration, DeviationMonitor, IntegrityReport, StreamMonitor
     from viewshed.monitor.stream_monitor import StreamReport
     from viewshed.preprocess.leveling import LeveledSweep
     from viewshed.preprocess.sensor_identification import SensorId
@@ -97,10 +97,13 @@ def calibrate(
     split: options.Split = None,
     grid: options.GridName = "road",
     sensor: options.SensorName = AUTO,
+    topic: options.Topic = None,
+    poses: options.Poses = None,
 ) -> None:
     """Calibrate the monitor on a minute or more of your own drives.
 
-    Nobody may have attacked them.
+    Nobody should have attacked them: impossible sweeps are left out, and alarms of the monitor before that the tail of
+    the other sweeps does not explain. Both are listed.
 
     How rare a change of the evidence is stays as it was calibrated before; how often an hour it alarms is then that of
     these drives. N false alarms an hour need 60 / N minutes of driving. Sweeps count as ten a second unless they have
@@ -113,17 +116,19 @@ def calibrate(
     refuse_inputs((out,), map(Path, sources))
     base = shipped_calibration() if monitor_file is None else load_calibration(monitor_file)
     failures = Failures()
-    streams, hz = _measured(
-        _Source(tuple(sources), split, sensor, failures=failures), options.parse_grid(grid), failures
+    drives = _measured(
+        _Source(tuple(sources), split, sensor, topic, poses, failures), options.parse_grid(grid), failures
     )
-    made = Calibration.fit(streams, hz, base=base)
+    made = Calibration.fit(drives.streams, drives.hz, base=base)
     wanted = max(made.least_per_hour, 1.0) if per_hour is None else per_hour
     limit = made.limit(wanted)
-    save_calibration(replace(made, facts={"per_hour": repr(wanted)}), out)
-    typer.echo(f"{out}: calibrated on {sum(map(len, streams))} sweeps of {len(streams)} drives")
+    save_calibration(replace(made, facts={**made.facts, "per_hour": repr(wanted)}), out)
+    sweeps = sum(map(len, drives.streams))
+    typer.echo(f"{out}: calibrated on {sweeps} sweeps of {len(drives.streams)} drives")
     typer.echo(f"  {made.promise(wanted)}")
-    above = int((made.peaks > limit).sum())
-    typer.echo(f"  {above} alarms in these drives; where they were attacked they hardly count, up to 5 % of the sweeps")
+    typer.echo(f"  {int((made.peaks > limit).sum())} alarms in these drives at this limit")
+    for line in _odd_sweeps(drives, made, base, wanted):
+        typer.echo(f"  {line}")
     if failures.count:
         raise typer.Exit(2)
 
@@ -252,33 +257,95 @@ class _Source:
                 self.failures.report(path, error)
 
 
-def _measured(sources: _Source, grid: BevGrid, failures: Failures) -> tuple[list[F32], float]:
-    """Return the evidence (T, E, SECTORS) of each drive, as a stream measures it, and its sweeps a second."""
+NO_TIMES = (
+    "the files have no times: each is judged alone; give --poses, which brings order and times, or a recording of them"
+)
+
+LISTED = 6
+"""Odd sweeps that are listed by name."""
+
+CLEARLY = 1.0
+"""Scores by which a limit is clearly higher than another: about ten times fewer benign sweeps."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Drives:
+    """The evidence of drives, as a stream measures it."""
+
+    streams: list[F32]  # (T, E, SECTORS) of each drive
+    names: list[list[str]]  # of their sweeps
+    hz: float  # sweeps a second
+    impossible: list[str]  # names of the sweeps that are left out
+
+
+def _measured(sources: _Source, grid: BevGrid, failures: Failures) -> _Drives:
+    """Return the evidence of each drive; impossible sweeps are left out."""
     import numpy as np
 
+    from viewshed.monitor.impossible import impossible_reasons
     from viewshed.monitor.stream_monitor import EvidenceStream
     from viewshed.preprocess.leveling import level
     from viewshed.preprocess.sensor_identification import UNIDENTIFIED
 
     streams: list[list[F32]] = []
+    names: list[list[str]] = []
+    impossible: list[str] = []
     gaps_ns: list[int] = []
-    stream, scene, last_ns, sensor = EvidenceStream(), "", None, UNIDENTIFIED
+    stream, scene, last_ns, sensor, alone = EvidenceStream(), "", None, UNIDENTIFIED, 0
     for seen in sources:
         try:
             leveled = level(seen.sweep, grid, sensor if seen.scene == scene else UNIDENTIFIED)
             sensor = leveled.sensor_id
+            alone += seen.scene != scene and seen.sweep.t_ns is None
             if seen.scene != scene or stream.why_anew(leveled):
                 stream, scene, last_ns = EvidenceStream(), seen.scene, None
                 streams.append([])
-            streams[-1].append(stream.measure(leveled))
-            stream.add(leveled)
+                names.append([])
+            evidence, is_possible = stream.measure(leveled), not impossible_reasons(leveled)
+            if is_possible:
+                streams[-1].append(evidence)
+                names[-1].append(seen.name)
+            else:
+                impossible.append(seen.name)
+            stream.add(leveled, compared=is_possible)
             now_ns = leveled.sweep.t_ns
             gaps_ns += [now_ns - last_ns] if now_ns is not None and last_ns is not None else []
             last_ns = now_ns
         except BAD_INPUTS as error:
             failures.report(seen.name, error)
+    if alone > 1:
+        note(NO_TIMES)
     hz = 1e9 / float(np.median(gaps_ns)) if gaps_ns else HZ
-    return [np.stack(one) for one in streams if one], hz
+    return _Drives([np.stack(one) for one in streams if one], [one for one in names if one], hz, impossible)
+
+
+def _odd_sweeps(drives: _Drives, made: Calibration, base: Calibration, per_hour: float) -> Iterator[str]:
+    """Yield what in drives may be attacked, a line each: impossible sweeps, and alarms of the base."""
+    if drives.impossible:
+        yield f"left out as impossible: {len(drives.impossible)} sweeps, {_listed(drives.impossible)}"
+    usual = base.limit(per_hour, extrapolate=True)
+    raised = made.limit(per_hour) > usual + CLEARLY
+    if not raised and "left_out" not in made.facts:
+        return
+    from viewshed.monitor.calibration import scores_of
+
+    limit = base.limit(1.0, extrapolate=True)
+    called = [
+        name
+        for stream, names in zip(drives.streams, drives.names, strict=True)
+        for name, score in zip(names, scores_of(stream, base, limit), strict=True)
+        if score > limit
+    ]
+    what = f"{len(called)} sweeps that the monitor before calls at one alarm an hour, {_listed(called)}"
+    if "left_out" in made.facts:
+        yield f"left out as attacked, for the other sweeps do not explain them: {what}"
+    else:
+        yield f"the limit is {made.limit(per_hour):.2f}, that before {usual:.2f}: attacked, or another sensor; {what}"
+
+
+def _listed(names: list[str]) -> str:
+    """Return names in a line, the first of them where they are many."""
+    return ", ".join(names[:LISTED]) + (f" and {len(names) - LISTED} more" if len(names) > LISTED else "")
 
 
 def _watching(file: Path | None, grid: BevGrid, weights: str | None, out: Path | None) -> _Run:
