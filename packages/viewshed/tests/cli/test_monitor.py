@@ -94,6 +94,36 @@ def test_an_own_vehicle_is_calibrated_from_a_minute_and_fewer_alarms_need_more(t
     assert "1 false alarms an hour need 60 minutes of benign driving, got 1.0" in err
 
 
+def test_files_without_times_are_one_stream_with_poses_and_each_alone_without(tmp_path: Path) -> None:
+    drive, out = tmp_path / "drive", tmp_path / "made.npz"
+    drive.mkdir()
+    for number in range(13):
+        write_sweep(_sweep(number), drive / f"{number:02}.npz")
+    poses = drive / "poses.txt"
+    poses.write_text("\n".join(f"1 0 0 {number} 0 1 0 0 0 0 1 0" for number in range(13)))
+    (drive / "times.txt").write_text("\n".join(str(5.0 * number) for number in range(13)))
+    code, _, err = run("monitor", "calibrate", drive, "--out", out)
+    assert code == 2
+    assert "note: the files have no times: each is judged alone; give --poses" in err
+    assert "got 0 besides 13 sweeps in streams of 5 or fewer, without a past; give more" in err
+    code, said, _ = run("monitor", "calibrate", drive, "--out", out, "--poses", poses)
+    assert (code, "calibrated on 13 sweeps of 1 drives" in said) == (0, True)
+    code, said, _ = run(
+        "monitor", "explain", drive, "--poses", poses, "--number", 6, "--grid", "32x16", "--out", tmp_path / "x.png"
+    )
+    assert (code, "cannot tell" in said) == (0, False)
+    code, _, err = run("monitor", "check", drive)
+    assert (code, err.count("have no times")) == (0, 1)
+
+
+def test_check_takes_a_rate_and_says_what_it_rests_on(place: Path) -> None:
+    code, said, err = run("monitor", "check", place / "calm.npz", "--per-hour", "0.1")
+    assert (code, said.count("\n")) == (0, 2)
+    assert re.search(r"score above \d\.\d+: 0\.1 false alarms an hour, .* by 210 minutes .*, an extrapolation", err)
+    code, _, err = run(*_check(place, "calm.npz"), "--per-hour", "1")
+    assert (code, "--per-hour goes with a monitor of viewshed monitor calibrate" in err) == (2, True)
+
+
 @pytest.mark.slow
 def test_attacked_drives_and_those_of_another_sensor_are_named() -> None:
     rng = np.random.default_rng(5)

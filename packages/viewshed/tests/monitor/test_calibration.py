@@ -115,15 +115,14 @@ def honest(made: Calibration) -> Calibration:
 def test_attacks_on_up_to_5_percent_of_the_sweeps_do_not_raise_the_limit(
     made: Calibration, honest: Calibration, how: str, share: float
 ) -> None:
-    rng, count = np.random.default_rng(1), round(300 * share)
-    sweeps = {
-        "scattered": lambda: rng.choice(300, count, replace=False),
-        "periodic": lambda: np.arange(1, count + 1) * (300 // count) - 1,
-        "burst": lambda: np.arange(150, 150 + count),
-    }[how]
-    attacked = [benign_stream(k, 300) for k in range(20, 23)]
-    for one in attacked:
-        one[sweeps()] *= 1000.0
+    count, attacked = round(300 * share), [benign_stream(k, 300) for k in range(20, 23)]
+    for number, one in enumerate(attacked):
+        sweeps = {
+            "scattered": np.random.default_rng(number).choice(300, count, replace=False),
+            "periodic": np.arange(1, count + 1) * (300 // count) - 1,
+            "burst": np.arange(150, 150 + count),
+        }[how]
+        one[sweeps] *= 1000.0
     found = Calibration.fit(attacked, HZ, KINDS, base=made)
     assert found.limit(20.0) < honest.limit(20.0) + 0.3
     assert found.limit(20.0) > honest.limit(20.0) - 0.5

@@ -123,9 +123,7 @@ class Calibration:
         hours = sum(map(len, pasts)) / (3600.0 * hz)
         if hours * 60.0 < LEAST_MINUTES - 1e-6:
             short = sum(map(len, streams)) - sum(map(len, pasts))
-            why = (
-                f" besides {short} sweeps in streams of {EARLIER_SWEEPS} or fewer, which have no past" if short else ""
-            )
+            why = f" besides {short} sweeps in streams of {EARLIER_SWEEPS} or fewer, without a past" if short else ""
             raise ValueError(
                 f"benign drives must last {LEAST_MINUTES:g} minute at least, got {hours * 60.0:.2g}{why}; give more"
             )
