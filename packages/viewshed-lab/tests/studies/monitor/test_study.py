@@ -103,6 +103,24 @@ def test_a_trace_is_read_in_the_order_of_its_numbers_and_a_blinded_sweep_called(
     assert "within 0.7 m" in called[9].reason or "usable returns" in called[9].reason
     page = trace_page(called, 5.0, 6.0)
     assert "   10  p" in page
+    assert "Allenpandas" in page
+    # As a folder under another name, with names that are no numbers: in natural order, without a key and with one.
+    other = folder.rename(tmp_path / "mine")
+    for number in range(1, 13):
+        (other / f"{number}.pcd").rename(other / f"sweep_{number}.pcd")
+    unseen = call_trace(other, StreamMonitor())
+    assert [one.number for one in unseen if one.inconsistent] == [9]
+    assert {one.is_spoofed for one in unseen} == {None}
+    page = trace_page(unseen, 5.0, 6.0)
+    assert "| mine | no key |  | 1 of 12 | 16715 |" in page
+    assert "Allenpandas" not in page
+    keyed = call_trace(other, StreamMonitor(), key=(7, 9, 11))
+    assert [one.number for one in keyed if one.is_spoofed] == [7, 9, 11]
+    assert "| mine | 1 of 3 | 2, 0, missed | 0 of 9 |" in trace_page(keyed, 5.0, 6.0)
+    no_archive = tmp_path / "text.tar.xz"
+    no_archive.write_text("text")
+    with pytest.raises(ValueError, match=r"text\.tar\.xz must be a \.tar\.xz of PCD files, or a folder of them, got"):
+        call_trace(no_archive, StreamMonitor())
     empty = tmp_path / "none.tar.xz"
     with tarfile.open(empty, "w:xz"):
         pass
