@@ -105,13 +105,15 @@ def files_of(
     # Hours of surprises by sector would fill the memory, and only the scores are asked for.
     every = [*judged, *(_scores_alone(judge(calibration, stream)) for stream in benign)]
     rates = _rates(calibration, every)
+    styles = [(str(style), some) for style, some in rates.groupby("style", sort=False)]
+    groups = [(f"{key}: {value}", some) for key in ("sensor", "conditions", "speed", "poses")
+              for value, some in rates.groupby(key, sort=False)]  # fmt: skip
     page = fill_template(
         "monitor/page.md", places=len({one.stream.style for one in judged}),
         minutes=f"{rates['hours'].sum() * 60.0:.0f}", calibration_minutes=f"{calibration.hours * 60.0:.0f}",
         styles=", ".join(plan.calibration), promises="\n".join(f"- {calibration.promise(rate)}" for rate in ASKED),
-        places_table=_rate_table([("all", rates), *rates.groupby("style", sort=False)]),
-        groups_table=_rate_table([(f"{key}: {value}", some) for key in ("sensor", "conditions", "speed", "poses")
-                                  for value, some in rates.groupby(key, sort=False)]),
+        places_table=_rate_table([("all", rates), *styles]), groups_table=_rate_table(groups),
+        exceeded=_exceeded([*styles, *groups]),
         families_table=_families(calibration, judged), reliability_table=_reliability(calibration, every),
         left_out_table=_left_out(calibration, judged), tried_table=_tried(left_out), clean_table=_clean(every),
         worsened_table=_worsened(judged), traces=[_traces(called), *_strips(called)],
@@ -140,11 +142,26 @@ def _rate_table(groups: Iterable[tuple[str, pd.DataFrame]]) -> Table:
     for name, some in groups:
         hours, cells = some["hours"].sum(), []
         for alarms in some[[*ASKED]].sum():
-            low, high = rate_interval(alarms, hours)
-            cells += [str(alarms), f"{alarms / hours:.1f} [{low:.1f}, {high:.1f}]"]
+            cells += [str(alarms), _rate(alarms, hours)]
         rows.append([name, f"{hours * 60:.1f}", *cells])
     words = [(f"alarms at a limit of {asked:g} an hour", f"an hour, limit of {asked:g}") for asked in ASKED]
     return Table(["", "minutes", *(word for both in words for word in both)], rows)
+
+
+def _rate(alarms: int, hours: float) -> str:
+    """Return how many alarms an hour that is, with its interval."""
+    low, high = rate_interval(alarms, hours)
+    return f"{alarms / hours:.1f} [{low:.1f}, {high:.1f}]"
+
+
+def _exceeded(groups: Sequence[tuple[str, pd.DataFrame]]) -> str:
+    """Return which groups of streams raise more alarms an hour than the limit is for, a line for each limit."""
+    lines = []
+    for asked in ASKED:
+        counts = [(name, int(some[asked].sum()), float(some["hours"].sum())) for name, some in groups]
+        more = [f"{name} {_rate(alarms, hours)}" for name, alarms, hours in counts if alarms > asked * hours]
+        lines.append(f"- at a limit of {asked:g} an hour: {', '.join(more) or 'none'}")
+    return "\n".join(lines)
 
 
 def _by_family(judged: Sequence[Judged]) -> dict[str, F32]:
