@@ -181,13 +181,12 @@ def spoofing(
     watching = stream_monitor(monitor_file)
     called = [one for trace in traces for one in call_trace(trace, watching, numbers)]
     write_page(out, trace_page(called, watching.limit, watching.per_hour))
-    spoofed = [one for one in called if one.is_spoofed]
-    honest = [one for one in called if not one.is_spoofed]
-    others = "others, of which no key says more" if any(one.is_spoofed is None for one in honest) else "honest ones"
-    typer.echo(
-        f"{sum(one.inconsistent for one in spoofed)} of {len(spoofed)} spoofed sweeps called,"
-        f" {sum(one.inconsistent for one in honest)} of {len(honest)} {others}; look at {out}"
-    )
+    told = [
+        f"{sum(one.inconsistent for one in some)} of {len(some)} {what}"
+        for is_spoofed, what in ((True, "spoofed sweeps"), (False, "honest sweeps"), (None, "sweeps without a --key"))
+        if (some := [one for one in called if one.is_spoofed is is_spoofed])
+    ]
+    typer.echo(f"called: {', '.join(told)}; look at {out}")
 
 
 @study_app.command()

@@ -204,8 +204,9 @@ class StreamMonitor:
             missing = (("poses", leveled.sweep.world_from_sensor is not None), ("rings", has_rings))
             words = " or ".join(word for word, is_there in missing if not is_there)
             if words:
-                silent = f"{agent.silent.sum()} of {len(EVIDENCE)} kinds of evidence look at nothing"
-                notes.append(f"without {words}, {silent}")
+                count = int(agent.silent.sum())
+                look = "looks" if count == 1 else "look"
+                notes.append(f"without {words}, {count} of {len(EVIDENCE)} kinds of evidence {look} at nothing")
         return tuple(notes)
 
     def _report(

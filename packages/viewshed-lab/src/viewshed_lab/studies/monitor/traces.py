@@ -71,7 +71,9 @@ def _unpacked(trace: Path) -> Iterator[Path]:
             with tarfile.open(trace) as packed:
                 packed.extractall(folder, filter="data")
         except (tarfile.TarError, lzma.LZMAError, EOFError) as error:
-            raise ValueError(f"{trace} must be a .tar.xz of PCD files, or a folder of them, got: {error}") from error
+            raise ValueError(
+                f"{trace} must be a .tar.xz of PCD files, or a folder of them, got another or a damaged file"
+            ) from error
         yield Path(folder)
 
 
