@@ -102,8 +102,8 @@ def calibrate(
 ) -> None:
     """Calibrate the monitor on a minute or more of your own drives.
 
-    Nobody should have attacked them: impossible sweeps are left out, and alarms of the monitor before that the tail of
-    the other sweeps does not explain. Both are listed.
+    Nobody should have attacked them. Impossible sweeps are left out, and so are those that the base monitor calls (the
+    shipped one, or --monitor-file) and the tail of the others does not explain. Both are listed.
 
     How rare a change of the evidence is stays as it was calibrated before; how often an hour it alarms is then that of
     these drives. N false alarms an hour need 60 / N minutes of driving. Sweeps count as ten a second unless they have
@@ -152,8 +152,8 @@ def check(
 
     A line has p-value and suspect sectors as well. Without --monitor-file it is the monitor that comes with viewshed.
     Sweeps of a recording are judged with those before them; a folder of files with a sweep each is one stream if they
-    have times, or --poses gives them. A sweep that cannot be checked costs one line on standard
-    error and does not stop the others; the exit code is then 2. An alarm does not change the exit code.
+    have times, or --poses gives them. A sweep that cannot be checked costs one line on standard error and does not stop
+    the others; the exit code is then 2. An alarm does not change the exit code.
 
     Example: viewshed monitor check drive --monitor-file monitor.npz
     """
@@ -342,7 +342,7 @@ def _measured(sources: _Source, grid: BevGrid, failures: Failures) -> _Drives:
 def _odd_sweeps(drives: _Drives, made: Calibration, base: Calibration, per_hour: float) -> Iterator[str]:
     """Yield what in drives may be attacked, a line each: impossible sweeps, and alarms of the base."""
     if drives.impossible:
-        yield f"left out as impossible: {len(drives.impossible)} sweeps, {_listed(drives.impossible)}"
+        yield f"left out as impossible: {_listed(drives.impossible)}"
     usual = base.limit(per_hour, extrapolate=True)
     raised = made.limit(per_hour) > usual + CLEARLY
     if not raised and "left_out" not in made.facts:
@@ -356,11 +356,11 @@ def _odd_sweeps(drives: _Drives, made: Calibration, base: Calibration, per_hour:
         for name, score in zip(names, scores_of(stream, base, limit), strict=True)
         if score > limit
     ]
-    what = f"{len(called)} sweeps that the monitor before calls at one alarm an hour, {_listed(called)}"
+    what = f"the base monitor calls {len(called)} sweeps at one alarm an hour{': ' * bool(called)}{_listed(called)}"
     if "left_out" in made.facts:
-        yield f"left out as attacked, for the other sweeps do not explain them: {what}"
+        yield f"left out as attacked, for the other sweeps do not explain them; {what}"
     else:
-        yield f"the limit is {made.limit(per_hour):.2f}, that before {usual:.2f}: attacked, or another sensor; {what}"
+        yield f"the limit is {made.limit(per_hour):.2f}, the base's {usual:.2f}: attacked, or another sensor; {what}"
 
 
 def _listed(names: list[str]) -> str:
