@@ -24,7 +24,6 @@ from std_msgs.msg import Header, UInt8MultiArray
 from viewshed.estimators import load_estimator
 from viewshed.estimators.temporal import SweepBuffer
 from viewshed.geometry import Rigid
-from viewshed.monitor.calibration import load_calibration
 from viewshed.monitor.stream_monitor import StreamMonitor
 from viewshed.pipeline import Answer, Caution, Pipeline, RateLimit, prepare_process
 from viewshed.sweep import Sweep
@@ -206,7 +205,7 @@ class FieldOfView(LifecycleNode):
         wished = settings.profile.monitor if settings.monitor == OF_PROFILE else settings.monitor == "always"
         if not wished:
             return None
-        return StreamMonitor(load_calibration(settings.monitor_file)) if settings.monitor_file else StreamMonitor()
+        return StreamMonitor.of_file(settings.monitor_file) if settings.monitor_file else StreamMonitor()
 
     def _pose_source(self, settings: NodeSettings) -> poses.PoseSource | None:
         if settings.pose_source == "none":

@@ -13,7 +13,9 @@ from tests.networks.made import card, nearby
 from viewshed import Sweep, open_recording, write_sweep
 from viewshed.cli import main
 from viewshed.cli._verdicts import stream_monitor
-from viewshed.monitor import load_calibration, load_monitor
+from viewshed.cli.monitor import _Drives, _odd_sweeps
+from viewshed.monitor import Calibration, load_calibration, load_monitor
+from viewshed.monitor.evidence import EVIDENCE, SECTORS
 from viewshed_lab.training.onnx_export import export_onnx
 from viewshed_lab.training.unet_torch import Stage, UNet
 
@@ -80,14 +82,63 @@ def test_an_own_vehicle_is_calibrated_from_a_minute_and_fewer_alarms_need_more(t
     assert run(*words)[0] == 0
     for number, sweep in enumerate(open_recording(bag)):
         write_sweep(sweep.replace(t_ns=5 * number * 10**9), drive / f"{number:02}.npz")
+    write_sweep(Sweep(np.zeros((0, 3), np.float32), t_ns=32 * 10**9 + 5 * 10**8), drive / "06_covered.npz")
     code, said, err = run("monitor", "calibrate", drive, "--out", out)
     assert (code, err) == (0, "")
     assert "calibrated on 12 sweeps of 1 drives" in said
+    assert "left out as impossible: 06_covered.npz" in said
     assert load_calibration(out).hours * 60 == pytest.approx(1.0, abs=0.02)
     assert stream_monitor(out).limit == load_calibration(out).limit(stream_monitor(out).per_hour)
     code, _, err = run("monitor", "calibrate", drive, "--out", out, "--per-hour", 1)
     assert code == 2
     assert "1 false alarms an hour need 60 minutes of benign driving, got 1.0" in err
+
+
+def test_files_without_times_are_one_stream_with_poses_and_each_alone_without(tmp_path: Path) -> None:
+    drive, out = tmp_path / "drive", tmp_path / "made.npz"
+    drive.mkdir()
+    for number in range(13):
+        write_sweep(_sweep(number), drive / f"{number:02}.npz")
+    poses = drive / "poses.txt"
+    poses.write_text("\n".join(f"1 0 0 {number} 0 1 0 0 0 0 1 0" for number in range(13)))
+    (drive / "times.txt").write_text("\n".join(str(5.0 * number) for number in range(13)))
+    code, _, err = run("monitor", "calibrate", drive, "--out", out)
+    assert code == 2
+    assert "note: the files have no times: each is judged alone; give --poses" in err
+    assert "got 0 besides 13 sweeps in streams of 5 or fewer, without a past; give more" in err
+    code, said, _ = run("monitor", "calibrate", drive, "--out", out, "--poses", poses)
+    assert (code, "calibrated on 13 sweeps of 1 drives" in said) == (0, True)
+    code, said, _ = run(
+        "monitor", "explain", drive, "--poses", poses, "--number", 6, "--grid", "32x16", "--out", tmp_path / "x.png"
+    )
+    assert (code, "cannot tell" in said) == (0, False)
+    code, _, err = run("monitor", "check", drive)
+    assert (code, err.count("have no times")) == (0, 1)
+
+
+def test_check_takes_a_rate_and_says_what_it_rests_on(place: Path) -> None:
+    code, said, err = run("monitor", "check", place / "calm.npz", "--per-hour", "0.1")
+    assert (code, said.count("\n")) == (0, 2)
+    assert re.search(r"score above \d\.\d+: 0\.1 false alarms an hour, .* by 210 minutes .*, an extrapolation", err)
+    code, _, err = run(*_check(place, "calm.npz"), "--per-hour", "1")
+    assert (code, "--per-hour goes with a monitor of viewshed monitor calibrate" in err) == (2, True)
+
+
+@pytest.mark.slow
+def test_attacked_drives_and_those_of_another_sensor_are_named() -> None:
+    rng = np.random.default_rng(5)
+    drawn = rng.exponential(1.0, (7, 150, len(EVIDENCE), SECTORS)).astype(np.float32)
+    base = Calibration.fit(list(drawn[:5]), 2.5)
+    names = [[f"{drive}/{number}" for number in range(150)] for drive in (5, 6)]
+    for every, word in (
+        (50, r"left out as attacked, .* calls \d+ sweeps at one alarm an hour: 5/20"),
+        (6, r"limit is \d+\.\d+, the base's \d\.\d+: attacked, or another sensor; .* and \d+ more"),
+    ):
+        attacked = drawn[5:].copy()
+        attacked[:, 20::every] *= 1000.0
+        drives = _Drives(list(attacked), names, 2.5, [])
+        (line,) = _odd_sweeps(drives, Calibration.fit(drives.streams, 2.5, base=base), base, 30.0)
+        assert re.search(word, line), line
 
 
 def test_an_empty_sweep_is_an_alarm_and_no_error(place: Path) -> None:

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,12 +10,12 @@ from numpy.typing import NDArray
 from tests.monitor.evidence.drives import GRID, PLATE, YARD, look, sector_at
 
 from viewshed import Sweep
-from viewshed.monitor import Calibration, StreamMonitor
+from viewshed.monitor import Calibration, StreamMonitor, save_calibration, shipped_calibration
 from viewshed.monitor.evidence import EARLIER_SWEEPS, EVIDENCE, SECTORS
 from viewshed.monitor.impossible import MOST_OUT, impossible_reasons, share_out_of_time
-from viewshed.monitor.stream_monitor import ALONE, StreamReport
+from viewshed.monitor.stream_monitor import ALONE, LOOKED_SWEEPS, StreamReport
 from viewshed.monitor.tails import CALM_SWEEPS
-from viewshed.monitor.watch import MOST_HELD_SWEEPS, Watch
+from viewshed.monitor.watch import MOST_HELD_SWEEPS, Verdict, Watch
 from viewshed.preprocess.leveling import LeveledSweep, level
 
 SWEEPS = 40
@@ -143,7 +144,7 @@ def test_after_a_gap_the_past_stays_but_nothing_is_compared() -> None:
     _after(monitor, 12)
     late = monitor.check(level(_drive(50)[12].sweep.replace(t_ns=3 * 10**9), GRID))
     assert late.notes == ()
-    assert late.now.notes == ()
+    assert late.now.notes == ("the last sweep is 1.9 s old: it is not compared",)
     assert np.isnan(late.now.evidence[list(EVIDENCE).index("arrival")]).all()
 
 
@@ -151,19 +152,64 @@ def test_agents_are_apart_bounded_and_bad_settings_refused() -> None:
     monitor = _monitor(agents=2)
     for name in "abc":
         monitor.check(level(look(YARD).replace(agent=name), GRID))
-    assert list(monitor._agents) == ["b", "c"]
+    assert [agent for agent, _ in monitor._agents] == ["b", "c"]
     monitor.reset("b")
-    assert list(monitor._agents) == ["c"]
+    assert [agent for agent, _ in monitor._agents] == ["c"]
     with pytest.raises(ValueError, match="agents must be 1 at least, got 0"):
         _monitor(agents=0)
     with pytest.raises(ValueError, match="jump_s must be positive, got 0"):
         _monitor(jump_s=0.0)
 
 
-def test_another_sensor_begins_anew() -> None:
+def test_another_sensor_has_its_own_past() -> None:
     monitor = _monitor()
-    monitor.check(level(look(YARD, 0), GRID))
-    other = look(YARD, 1)
-    assert other.model is not None
-    report = monitor.check(level(other.replace(model=replace(other.model, name="another")), GRID))
-    assert report.notes == (f"the sensor changed from {other.model.name} to another: the stream begins anew",)
+    reports = {"first": list[StreamReport](), "second": list[StreamReport]()}
+    for leveled in _drive(50)[:8]:
+        assert leveled.sweep.model is not None
+        for name, of_sensor in reports.items():
+            sweep = leveled.sweep.replace(model=replace(leveled.sweep.model, name=name))
+            of_sensor.append(monitor.check(level(sweep, GRID)))
+    alone = [report.now.p_value for report in _after(_monitor(), 8)]
+    for of_sensor in reports.values():
+        assert not any(report.notes for report in of_sensor)
+        assert [report.now.p_value for report in of_sensor] == pytest.approx(alone, nan_ok=True)
+    # A sweep that names no sensor is of the last one, whose time it repeats; forgetting an agent forgets both.
+    assert "time repeats" in monitor.check(level(_drive(50)[7].sweep.replace(model=None), GRID)).notes[0]
+    monitor.reset("ego")
+    assert not monitor._agents
+
+
+@pytest.mark.parametrize(
+    ("without", "note"),
+    [(("world_from_sensor",), "without poses, 6 of 17 kinds of evidence look at nothing"), ((), None)],
+)
+def test_evidence_that_looks_at_nothing_is_noted_once(without: tuple[str, ...], note: str | None) -> None:
+    monitor = _monitor()
+    notes = [
+        monitor.check(level(leveled.sweep.replace(**dict.fromkeys(without)), GRID)).now.notes
+        for leveled in _drive(50)[:25]
+    ]
+    said = [(number, one) for number, each in enumerate(notes) for one in each if one != ALONE]
+    assert said == ([(LOOKED_SWEEPS - 1, note)] if note else [])
+
+
+def test_a_rate_that_the_calibration_does_not_support_is_noted() -> None:
+    sweep = _drive(50)[0]
+    assert StreamMonitor(per_hour=0.3).check(sweep).now.notes == (ALONE,)
+    (_, note) = StreamMonitor(per_hour=0.01).check(sweep).now.notes
+    assert note == "0.01 false alarms an hour are an extrapolation: the drives support 0.29"
+
+
+def test_a_file_brings_its_rate_and_another_one_is_taken(tmp_path: Path) -> None:
+    path = tmp_path / "own.npz"
+    save_calibration(replace(shipped_calibration(), facts={"per_hour": "30.0"}), path)
+    assert StreamMonitor.of_file(path).per_hour == 30.0
+    assert StreamMonitor.of_file(path, 2.0).limit == StreamMonitor(per_hour=2.0).limit
+
+
+def test_where_all_evidence_abstains_there_is_no_p_value() -> None:
+    monitor = _monitor()
+    verdict = Verdict(0.0, np.full((len(EVIDENCE), SECTORS), np.nan, np.float32))
+    report = monitor._report(verdict, (), (), verdict.sectors, None, ())
+    assert np.isnan(report.p_value)
+    assert not report.inconsistent

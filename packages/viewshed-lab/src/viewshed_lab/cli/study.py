@@ -154,13 +154,19 @@ def monitor(
 
 @study_app.command()
 def spoofing(
-    traces: Annotated[list[Path], typer.Argument(metavar="TRACE...", help="blackout.tar.xz, noise.tar.xz, …")],
+    traces: Annotated[
+        list[Path], typer.Argument(metavar="TRACE...", help="blackout.tar.xz, noise.tar.xz, … or folders of PCD files.")
+    ],
     monitor_file: MonitorFile = None,
+    key: Annotated[
+        str | None,
+        typer.Option(metavar="NUMBERS", help="Spoofed sweeps of the trace, separated by commas."),
+    ] = None,
     out: Annotated[Path, typer.Option(help="Page to write.")] = Path("spoofing.md"),
 ) -> None:
     """What the monitor calls in public traces of spoofed drives.
 
-    Real sweeps of one car; which are spoofed is inferred from the data.
+    Of the two public ones, real sweeps of one car, the key is inferred from the data; --key gives that of another.
 
     Example: viewshed study spoofing blackout.tar.xz noise.tar.xz
     """
@@ -169,15 +175,18 @@ def spoofing(
     from viewshed_lab.studies.monitor.page import trace_page
     from viewshed_lab.studies.monitor.traces import call_trace
 
+    numbers = None if key is None else [int(word) if word.strip().isdecimal() else -1 for word in key.split(",")]
+    if numbers is not None and (len(traces) > 1 or min(numbers) < 0):
+        raise ValueError(f"--key must be numbers of sweeps of one trace, got {key!r} for {len(traces)} traces")
     watching = stream_monitor(monitor_file)
-    called = [one for trace in traces for one in call_trace(trace, watching)]
+    called = [one for trace in traces for one in call_trace(trace, watching, numbers)]
     write_page(out, trace_page(called, watching.limit, watching.per_hour))
-    spoofed = [one for one in called if one.is_spoofed]
-    honest = [one for one in called if not one.is_spoofed]
-    typer.echo(
-        f"{sum(one.inconsistent for one in spoofed)} of {len(spoofed)} spoofed sweeps called,"
-        f" {sum(one.inconsistent for one in honest)} of {len(honest)} honest ones; look at {out}"
-    )
+    told = [
+        f"{sum(one.inconsistent for one in some)} of {len(some)} {what}"
+        for is_spoofed, what in ((True, "spoofed sweeps"), (False, "honest sweeps"), (None, "sweeps without a --key"))
+        if (some := [one for one in called if one.is_spoofed is is_spoofed])
+    ]
+    typer.echo(f"called: {', '.join(told)}; look at {out}")
 
 
 @study_app.command()

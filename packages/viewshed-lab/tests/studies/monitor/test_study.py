@@ -1,10 +1,12 @@
 """The study of alarms: streams with attacks that branch off, rates with intervals, traces from archives."""
 
+import re
 import tarfile
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from numpy.testing import assert_array_equal
 
@@ -13,7 +15,7 @@ from viewshed.monitor import Calibration, StreamMonitor
 from viewshed.monitor.evidence import EVIDENCE, SECTORS
 from viewshed.preprocess.leveling import level
 from viewshed.sensors import LidarModel
-from viewshed_lab.studies.monitor.page import files_of, judge, rate_interval, trace_page
+from viewshed_lab.studies.monitor.page import _exceeded, files_of, judge, rate_interval, trace_page
 from viewshed_lab.studies.monitor.plan import MonitorPlan
 from viewshed_lab.studies.monitor.streams import ATTACKED_SWEEPS, Stream, StreamEvidence, measure_stream
 from viewshed_lab.studies.monitor.traces import call_trace
@@ -56,7 +58,19 @@ def test_a_stream_is_measured_attacked_judged_and_kept(tmp_path: Path) -> None:
     text = files_of(PLAN, made, [kept], [kept], [], {"removal": (3, 0.5, 0.0)})["monitor.md"].decode()
     assert "| parking | 0.1 |" in text
     assert "| pose_spoof | 2 |" in text
+    area = re.search(r"\| mean of the attacks \|  \| (\d\.\d{3}) \|", text)
+    assert area is not None
+    assert f"| onset AUROC by style |  | {area[1]} to {area[1]} |" in text
     assert "| removal | 3 | 0.50 | 0.00 |" in text
+
+
+def test_groups_with_more_alarms_than_their_limit_is_for_are_named() -> None:
+    calm, rough = ({1.0: alarms, 6.0: alarms, 10.0: 0, "hours": 1.0} for alarms in (1, 7))
+    lines = _exceeded([("calm", pd.DataFrame([calm])), ("rough", pd.DataFrame([rough]))]).splitlines()
+    # Garwood's interval of seven counts.
+    assert lines[1] == "- at a limit of 6 an hour: rough 7.0 [2.8, 14.4]"
+    assert lines[0].startswith("- at a limit of 1 an hour: rough")
+    assert lines[2].endswith("none")
 
 
 @pytest.mark.slow
@@ -103,6 +117,24 @@ def test_a_trace_is_read_in_the_order_of_its_numbers_and_a_blinded_sweep_called(
     assert "within 0.7 m" in called[9].reason or "usable returns" in called[9].reason
     page = trace_page(called, 5.0, 6.0)
     assert "   10  p" in page
+    assert "Allenpandas" in page
+    # As a folder under another name, with names that are no numbers: in natural order, without a key and with one.
+    other = folder.rename(tmp_path / "mine")
+    for number in range(1, 13):
+        (other / f"{number}.pcd").rename(other / f"sweep_{number}.pcd")
+    unseen = call_trace(other, StreamMonitor())
+    assert [one.number for one in unseen if one.inconsistent] == [9]
+    assert {one.is_spoofed for one in unseen} == {None}
+    page = trace_page(unseen, 5.0, 6.0)
+    assert "| mine | no key |  | 1 of 12 | 16715 |" in page
+    assert "Allenpandas" not in page
+    keyed = call_trace(other, StreamMonitor(), key=(7, 9, 11))
+    assert [one.number for one in keyed if one.is_spoofed] == [7, 9, 11]
+    assert "| mine | 1 of 3 | 2, 0, missed | 0 of 9 |" in trace_page(keyed, 5.0, 6.0)
+    no_archive = tmp_path / "text.tar.xz"
+    no_archive.write_text("text")
+    with pytest.raises(ValueError, match=r"text\.tar\.xz must be a \.tar\.xz of PCD files, or a folder of them, got"):
+        call_trace(no_archive, StreamMonitor())
     empty = tmp_path / "none.tar.xz"
     with tarfile.open(empty, "w:xz"):
         pass

@@ -13,15 +13,14 @@ if TYPE_CHECKING:
     from viewshed.monitor.stream_monitor import StreamReport
 
 
-def stream_monitor(file: Path | None) -> StreamMonitor:
+def stream_monitor(file: Path | None, per_hour: float | None = None) -> StreamMonitor:
     """Return what watches a stream: the calibration in a file of ``viewshed monitor calibrate``, or the shipped one."""
-    from viewshed.monitor import StreamMonitor, load_calibration
+    from viewshed.monitor import StreamMonitor
     from viewshed.monitor.stream_monitor import PER_HOUR
 
-    if file is None:
-        return StreamMonitor()
-    calibration = load_calibration(file)
-    return StreamMonitor(calibration, float(calibration.facts.get("per_hour", PER_HOUR)))
+    if file is not None:
+        return StreamMonitor.of_file(file, per_hour)
+    return StreamMonitor(per_hour=PER_HOUR if per_hour is None else per_hour)
 
 
 def watching(wanted: bool, file: Path | None) -> StreamMonitor | None:

@@ -17,7 +17,7 @@ from viewshed.cli._options import AUTO, MonitorFile, Passes, Reading, Seed, Weig
 from viewshed.cli._outputs import Failures, free_name, make_folder, refuse_inputs, stem_of, with_bar
 from viewshed.cli._places import chosen_files, place_of_result
 from viewshed.cli._stream import placed_sweeps
-from viewshed.cli._terminal import BAD_INPUTS
+from viewshed.cli._terminal import BAD_INPUTS, note
 from viewshed.cli._verdicts import stream_monitor, stream_verdicts, verdicts
 
 if TYPE_CHECKING:
@@ -25,8 +25,8 @@ if TYPE_CHECKING:
     from viewshed.estimators import Estimator
     from viewshed.estimators.unet import UnetEstimator
     from viewshed.grid import BevGrid
-    from viewshed.monitor import DeviationMonitor, IntegrityReport, StreamMonitor
-    from viewshed.monitor.stream_monitor import StreamReport
+    from viewshed.monitor import Calibration, DeviationMonitor, IntegrityReport, StreamMonitor
+    from viewshed.monitor.stream_monitor import EvidenceStream, StreamReport
     from viewshed.preprocess.leveling import LeveledSweep
     from viewshed.preprocess.sensor_identification import SensorId
     from viewshed.sweep import Sweep
@@ -97,10 +97,13 @@ def calibrate(
     split: options.Split = None,
     grid: options.GridName = "road",
     sensor: options.SensorName = AUTO,
+    topic: options.Topic = None,
+    poses: options.Poses = None,
 ) -> None:
     """Calibrate the monitor on a minute or more of your own drives.
 
-    Nobody may have attacked them.
+    Nobody should have attacked them. Impossible sweeps are left out, and so are those that the base monitor calls (the
+    shipped one, or --monitor-file) and the tail of the others does not explain. Both are listed.
 
     How rare a change of the evidence is stays as it was calibrated before; how often an hour it alarms is then that of
     these drives. N false alarms an hour need 60 / N minutes of driving. Sweeps count as ten a second unless they have
@@ -113,17 +116,19 @@ def calibrate(
     refuse_inputs((out,), map(Path, sources))
     base = shipped_calibration() if monitor_file is None else load_calibration(monitor_file)
     failures = Failures()
-    streams, hz = _measured(
-        _Source(tuple(sources), split, sensor, failures=failures), options.parse_grid(grid), failures
+    drives = _measured(
+        _Source(tuple(sources), split, sensor, topic, poses, failures), options.parse_grid(grid), failures
     )
-    made = Calibration.fit(streams, hz, base=base)
+    made = Calibration.fit(drives.streams, drives.hz, base=base)
     wanted = max(made.least_per_hour, 1.0) if per_hour is None else per_hour
     limit = made.limit(wanted)
-    save_calibration(replace(made, facts={"per_hour": repr(wanted)}), out)
-    typer.echo(f"{out}: calibrated on {sum(map(len, streams))} sweeps of {len(streams)} drives")
+    save_calibration(replace(made, facts={**made.facts, "per_hour": repr(wanted)}), out)
+    sweeps = sum(map(len, drives.streams))
+    typer.echo(f"{out}: calibrated on {sweeps} sweeps of {len(drives.streams)} drives")
     typer.echo(f"  {made.promise(wanted)}")
-    above = int((made.peaks > limit).sum())
-    typer.echo(f"  {above} alarms in these drives; where they were attacked they hardly count, up to 5 % of the sweeps")
+    typer.echo(f"  {int((made.peaks > limit).sum())} alarms in these drives at this limit")
+    for line in _odd_sweeps(drives, made, base, wanted):
+        typer.echo(f"  {line}")
     if failures.count:
         raise typer.Exit(2)
 
@@ -138,19 +143,23 @@ def check(
     sensor: options.SensorName = AUTO,
     topic: options.Topic = None,
     poses: options.Poses = None,
+    per_hour: Annotated[
+        float | None, typer.Option(help="False alarms an hour; those of the monitor's file, or 6, if not given.")
+    ] = None,
     out: Annotated[Path | None, typer.Option(help="Folder of pictures and suspect cells; none if not given.")] = None,
 ) -> None:
     """Check sweeps with a monitor: verdict and reason, a line each.
 
     A line has p-value and suspect sectors as well. Without --monitor-file it is the monitor that comes with viewshed.
-    Sweeps of a recording are judged with those before them. A sweep that cannot be checked costs one line on standard
-    error and does not stop the others; the exit code is then 2. An alarm does not change the exit code.
+    Sweeps of a recording are judged with those before them; a folder of files with a sweep each is one stream if they
+    have times, or --poses gives them. A sweep that cannot be checked costs one line on standard error and does not stop
+    the others; the exit code is then 2. An alarm does not change the exit code.
 
     Example: viewshed monitor check drive --monitor-file monitor.npz
     """
     if out is not None:
         make_folder(out)
-    run = _watching(monitor_file, options.parse_grid(grid), weights, out)
+    run = _watching(monitor_file, options.parse_grid(grid), weights, out, per_hour)
     for source in sources:
         try:
             for seen in _Source((source,), split, sensor, topic, poses, run.failures):
@@ -170,6 +179,8 @@ def explain(
     split: options.Split = None,
     grid: options.GridName = "road",
     sensor: options.SensorName = AUTO,
+    topic: options.Topic = None,
+    poses: options.Poses = None,
     out: Annotated[str, typer.Option(help="Picture to write, or a folder for it.")] = "explained.png",
 ) -> None:
     """Draw the suspect sectors of one sweep, and why they are.
@@ -184,7 +195,7 @@ def explain(
     picture = place_of_result(out, "explained.png")
     refuse_inputs((picture,), [Path(source)])
     run = SweepRun(None, stream_monitor(monitor_file), options.parse_grid(grid))
-    for place, seen in enumerate(_Source((source,), split, sensor)):
+    for place, seen in enumerate(_Source((source,), split, sensor, topic, poses)):
         leveled, report = run.check(seen)
         if place == number:
             line = f"{seen.name}: {stream_verdicts(report)}"
@@ -252,46 +263,127 @@ class _Source:
                 self.failures.report(path, error)
 
 
-def _measured(sources: _Source, grid: BevGrid, failures: Failures) -> tuple[list[F32], float]:
-    """Return the evidence (T, E, SECTORS) of each drive, as a stream measures it, and its sweeps a second."""
+NO_TIMES = (
+    "the files have no times: each is judged alone; give --poses, which brings order and times, or a recording of them"
+)
+
+LISTED = 6
+"""Odd sweeps that are listed by name."""
+
+CLEARLY = 1.0
+"""Scores by which a limit is clearly higher than another: about ten times fewer benign sweeps."""
+
+
+@dataclass(slots=True)
+class _Drive:
+    """What is measured of one drive of one sensor."""
+
+    stream: EvidenceStream
+    sensor: SensorId
+    evidence: list[F32] = field(default_factory=list)
+    names: list[str] = field(default_factory=list)
+    last_ns: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class _Drives:
+    """The evidence of drives, as a stream measures it."""
+
+    streams: list[F32]  # (T, E, SECTORS) of each drive
+    names: list[list[str]]  # of their sweeps
+    hz: float  # sweeps a second
+    impossible: list[str]  # names of the sweeps that are left out
+
+
+def _measured(sources: _Source, grid: BevGrid, failures: Failures) -> _Drives:
+    """Return the evidence of each drive; impossible sweeps are left out."""
     import numpy as np
 
+    from viewshed.monitor.impossible import impossible_reasons
     from viewshed.monitor.stream_monitor import EvidenceStream
     from viewshed.preprocess.leveling import level
     from viewshed.preprocess.sensor_identification import UNIDENTIFIED
 
-    streams: list[list[F32]] = []
+    drives: list[_Drive] = []
+    impossible: list[str] = []
     gaps_ns: list[int] = []
-    stream, scene, last_ns, sensor = EvidenceStream(), "", None, UNIDENTIFIED
+    # The drive of each agent and named sensor of a scene.
+    current: dict[tuple[str, str], _Drive] = {}
+    scene, alone = "", 0
     for seen in sources:
         try:
-            leveled = level(seen.sweep, grid, sensor if seen.scene == scene else UNIDENTIFIED)
-            sensor = leveled.sensor_id
-            if seen.scene != scene or stream.why_anew(leveled):
-                stream, scene, last_ns = EvidenceStream(), seen.scene, None
-                streams.append([])
-            streams[-1].append(stream.measure(leveled))
-            stream.add(leveled)
-            now_ns = leveled.sweep.t_ns
+            if seen.scene != scene:
+                current, scene, alone = {}, seen.scene, alone + (seen.sweep.t_ns is None)
+            key = seen.sweep.agent, "" if seen.sweep.model is None else seen.sweep.model.name
+            drive = current.get(key)
+            leveled = level(seen.sweep, grid, UNIDENTIFIED if drive is None else drive.sensor)
+            if drive is None or drive.stream.why_anew(leveled):
+                current[key] = drive = _Drive(EvidenceStream(), leveled.sensor_id)
+                drives.append(drive)
+            evidence, is_possible = drive.stream.measure(leveled), not impossible_reasons(leveled)
+            if is_possible:
+                drive.evidence.append(evidence)
+                drive.names.append(seen.name)
+            else:
+                impossible.append(seen.name)
+            drive.stream.add(leveled, compared=is_possible)
+            now_ns, last_ns = leveled.sweep.t_ns, drive.last_ns
             gaps_ns += [now_ns - last_ns] if now_ns is not None and last_ns is not None else []
-            last_ns = now_ns
+            drive.last_ns, drive.sensor = now_ns, leveled.sensor_id
         except BAD_INPUTS as error:
             failures.report(seen.name, error)
+    if alone > 1:
+        note(NO_TIMES)
     hz = 1e9 / float(np.median(gaps_ns)) if gaps_ns else HZ
-    return [np.stack(one) for one in streams if one], hz
+    drives = [drive for drive in drives if drive.names]
+    return _Drives([np.stack(drive.evidence) for drive in drives], [drive.names for drive in drives], hz, impossible)
 
 
-def _watching(file: Path | None, grid: BevGrid, weights: str | None, out: Path | None) -> _Run:
+def _odd_sweeps(drives: _Drives, made: Calibration, base: Calibration, per_hour: float) -> Iterator[str]:
+    """Yield what in drives may be attacked, a line each: impossible sweeps, and alarms of the base."""
+    if drives.impossible:
+        yield f"left out as impossible: {_listed(drives.impossible)}"
+    usual = base.limit(per_hour, extrapolate=True)
+    raised = made.limit(per_hour) > usual + CLEARLY
+    if not raised and "left_out" not in made.facts:
+        return
+    from viewshed.monitor.calibration import scores_of
+
+    limit = base.limit(1.0, extrapolate=True)
+    called = [
+        name
+        for stream, names in zip(drives.streams, drives.names, strict=True)
+        for name, score in zip(names, scores_of(stream, base, limit), strict=True)
+        if score > limit
+    ]
+    what = f"the base monitor calls {len(called)} sweeps at one alarm an hour{': ' * bool(called)}{_listed(called)}"
+    if "left_out" in made.facts:
+        yield f"left out as attacked, for the other sweeps do not explain them; {what}"
+    else:
+        yield f"the limit is {made.limit(per_hour):.2f}, the base's {usual:.2f}: attacked, or another sensor; {what}"
+
+
+def _listed(names: list[str]) -> str:
+    """Return names in a line, the first of them where they are many."""
+    return ", ".join(names[:LISTED]) + (f" and {len(names) - LISTED} more" if len(names) > LISTED else "")
+
+
+def _watching(file: Path | None, grid: BevGrid, weights: str | None, out: Path | None, per_hour: float | None) -> _Run:
     """Return the monitor in a file at work, whichever kind it is; None is the shipped one."""
     from viewshed.monitor.calibration import kind_of_monitor
     from viewshed.monitor.deviation import NAME, load_monitor
 
     if file is not None and kind_of_monitor(file) == NAME:
+        if per_hour is not None:
+            raise ValueError("--per-hour goes with a monitor of viewshed monitor calibrate, or with the shipped one")
         fitted = load_monitor(file)
         return _DeviationRun(out, fitted, estimator_of(fitted, weights))
     if weights is not None:
         raise ValueError("--weights goes with a monitor of viewshed monitor fit, whose network it names")
-    return SweepRun(out, stream_monitor(file), grid)
+    run = SweepRun(out, stream_monitor(file, per_hour), grid)
+    if per_hour is not None:
+        note(run.monitor.calibration.promise(per_hour))
+    return run
 
 
 @dataclass(slots=True)
@@ -339,6 +431,7 @@ class SweepRun(_Run):
     scene: str = ""
     sensor: SensorId | None = None
     estimator: Estimator | None = None
+    alone: int = 0
 
     def check(self, seen: Seen) -> tuple[LeveledSweep, StreamReport]:
         """Return the next sweep, leveled, and what the monitor says of it; each file or scene begins anew."""
@@ -347,7 +440,9 @@ class SweepRun(_Run):
 
         if seen.scene != self.scene:
             self.monitor.reset()
-            self.sensor = None
+            self.sensor, self.alone = None, self.alone + (seen.sweep.t_ns is None)
+            if self.alone == 2:
+                note(NO_TIMES)
         self.scene = seen.scene
         leveled = level(seen.sweep, self.grid, self.sensor or UNIDENTIFIED)
         self.sensor = leveled.sensor_id

@@ -35,7 +35,8 @@ from viewshed.monitor.score import (
     of_place,
     sector_scores,
 )
-from viewshed.monitor.tails import heights_of, peaks_of, shape_of
+from viewshed.monitor.tails import chance_of_more, heights_of, peaks_of, shape_of
+from viewshed.monitor.watch import Watch
 
 Promise = Literal["expected", "confident"]
 """Which of the two rates must not exceed the chosen one."""
@@ -45,6 +46,10 @@ CONFIDENCE = 0.9
 
 LEAST_MINUTES = 1.0
 """Driving without which nothing is calibrated."""
+
+ATTACKED_SHARE, ATTACKED_CHANCE = 0.1, 1e-3
+"""Sweeps that the base calls are left out as attacked if they are no larger share, with those that an attack disturbs
+after it, and if the tail of the others makes so many and so high alarms less probable than this."""
 
 PARTS = 7
 """Parts of the benign streams, each of which is scored by the others."""
@@ -107,7 +112,8 @@ class Calibration:
             hz: sweeps a second.
             kinds: of the evidence.
             base: its scales are kept and only the rates are from these streams: a few minutes of an own vehicle cannot
-                say how rare a change is. None fits all.
+                say how rare a change is. Sweeps that seem attacked are left out; ``facts`` then says how many. None
+                fits all.
             facts: what else must be known.
 
         Raises:
@@ -116,30 +122,37 @@ class Calibration:
         pasts = [evidence.astype(np.float32) for evidence in streams if len(evidence) > EARLIER_SWEEPS]
         hours = sum(map(len, pasts)) / (3600.0 * hz)
         if hours * 60.0 < LEAST_MINUTES - 1e-6:
+            short = sum(map(len, streams)) - sum(map(len, pasts))
+            why = f" besides {short} sweeps in streams of {EARLIER_SWEEPS} or fewer, without a past" if short else ""
             raise ValueError(
-                f"benign drives must last {LEAST_MINUTES:g} minute at least, got {hours * 60.0:.2g}; give more"
+                f"benign drives must last {LEAST_MINUTES:g} minute at least, got {hours * 60.0:.2g}{why}; give more"
             )
         # 1. The usual scale of each kind: what the first seconds of a stream are standardized by.
         prior = base.prior_scale if base is not None else _prior_scale(pasts, kinds)
-        # 2. Standardized changes of all streams, and how rare they are.
-        changes = [changes_of(one, prior, kinds) for one in pasts]
-        strongest = [np.fmax.reduce(one, axis=2) for one in changes]
-        scale = base.changes if base is not None else SurpriseScale.fit(strongest)
-        # 3. Scores, those of each part of the streams by how rare changes are in the other parts, and their peaks.
-        scales = [scale] * len(changes)
-        if base is None and len(changes) > 1:
-            others = [
-                SurpriseScale.fit([one for number, one in enumerate(strongest) if number % PARTS != part])
-                for part in range(min(PARTS, len(changes)))
-            ]
-            scales = [others[number % PARTS] for number in range(len(changes))]
-        counts_once = of_place(kinds)
-        scores = [sector_scores(by(one), counts_once).max(axis=1) for by, one in zip(scales, changes, strict=True)]
+        if base is not None:
+            scale, (scores, left_out) = base.changes, _own_scores(pasts, base, kinds)
+            facts = dict(facts or {}) | ({"left_out": str(left_out)} if left_out else {})
+        else:
+            # 2. Standardized changes of all streams, and how rare they are.
+            changes = [changes_of(one, prior, kinds) for one in pasts]
+            strongest = [np.fmax.reduce(one, axis=2) for one in changes]
+            scale = SurpriseScale.fit(strongest)
+            # 3. Scores, those of each part of the streams by how rare changes are in the other parts.
+            scales = [scale] * len(changes)
+            if len(changes) > 1:
+                others = [
+                    SurpriseScale.fit([one for number, one in enumerate(strongest) if number % PARTS != part])
+                    for part in range(min(PARTS, len(changes)))
+                ]
+                scales = [others[number % PARTS] for number in range(len(changes))]
+            once = of_place(kinds)
+            scores = [sector_scores(by(one), once).max(axis=1) for by, one in zip(scales, changes, strict=True)]
+        # 4. Their peaks.
         peaks = np.sort(np.concatenate([peaks_of(one) for one in scores]).astype(np.float64))
         shape = base.shape if base is not None else shape_of(heights_of(peaks)[1])
         return cls(
-            tuple(kinds), counts_once, prior, scale, SurpriseScale.fit([one[:, None] for one in scores]), peaks, shape,
-            hours, dict(facts or {}), evidence_id(kinds),
+            tuple(kinds), of_place(kinds), prior, scale, SurpriseScale.fit([one[:, None] for one in scores]), peaks,
+            shape, hours, dict(facts or {}), evidence_id(kinds),
         )  # fmt: skip
 
     def score(self, changes: F32) -> tuple[float, F32]:
@@ -207,7 +220,7 @@ class Calibration:
         begin, heights = heights_of(self.peaks)
         if not len(heights):
             return begin, 1.0, 0
-        # The scale by the median: a few attacks among the drives hardly move that.
+        # The scale by the median, which a few odd peaks hardly move.
         scale = float(np.median(heights)) * self.shape / (2.0**self.shape - 1.0)
         return begin, max(scale, 0.1), len(heights)
 
@@ -227,6 +240,40 @@ def changes_of(stream: F32, prior_scale: F32, kinds: Mapping[str, Evidence] = EV
             changes.append(past.reference().changes(numbers_of(past.onset(evidence), kinds)))
         past.add(evidence)
     return np.array(changes, np.float32).reshape(-1, len(prior_scale), SECTORS)
+
+
+def scores_of(stream: F32, base: Calibration, limit: float, kinds: Mapping[str, Evidence] = EVIDENCE) -> F32:
+    """Return the scores (T,) of a stream's evidence (T, E, SECTORS) by a calibration; NaN where it has no past.
+
+    Sweeps above the limit do not become part of the past, as those of an alarm.
+    """
+    watch = Watch(base, limit, kinds)
+    return np.array([watch.check(evidence).score for evidence in stream], np.float32)
+
+
+def _own_scores(streams: Sequence[F32], base: Calibration, kinds: Mapping[str, Evidence]) -> tuple[list[F32], int]:
+    """Return the scores (T,) of each stream by a base, NaN in sweeps that seem attacked, and how many those are.
+
+    Alarms at the base's limit of one an hour are an attack's if the tail of the other peaks does not go on to them.
+    Where it does, the streams are rougher than the base's, and where the base calls many sweeps it is another sensor:
+    then all sweeps count.
+    """
+    limit = base.limit(1.0, extrapolate=True)
+    scores = [scores_of(one, base, limit, kinds) for one in streams]
+    calm = [np.where(one > limit, np.float32(np.nan), one) for one in scores]
+    peaks = np.concatenate([peaks_of(one) for one in scores])
+    called, count = peaks[peaks > limit], sum(int((one > limit).sum()) for one in scores)
+    if not count:
+        return scores, 0
+    if count <= ATTACKED_SHARE * sum(map(len, scores)):
+        begin, heights = heights_of(np.sort(np.concatenate([peaks_of(one) for one in calm])).astype(np.float64))
+        # The higher half of the alarms: how high they are says as much as how many.
+        middle = float(np.median(called))
+        many = int((called >= middle).sum())
+        usual = base._tail()[1]
+        if chance_of_more(heights, base.shape, usual, limit - begin, middle - begin, many) < ATTACKED_CHANCE:
+            return calm, count
+    return [scores_of(one, base, np.inf, kinds) for one in streams], 0
 
 
 def _prior_scale(streams: Sequence[F32], kinds: Mapping[str, Evidence]) -> F32:

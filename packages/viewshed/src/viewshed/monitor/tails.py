@@ -60,6 +60,31 @@ def share_above(heights: F64, height: NDArray[np.float64]) -> F64:
     return np.asarray((weights[..., None] * shares).sum(axis=(0, 1)), np.float64)
 
 
+def chance_of_more(heights: F64, shape: float, usual: float, cut: float, above: float, count: int) -> float:
+    """Return how probable ``count`` or more peaks above ``above`` are, by the heights (n,) of those below ``cut``.
+
+    The tail has this shape; its scale is about the ``usual`` one, by a factor of 2, and what the heights say of it.
+    Given the scale, how many peaks lie beyond is negative binomial. ``above`` is at least ``cut``.
+    """
+    scale = _SCALES * usual
+
+    def share(height: float) -> F64:
+        return np.asarray(np.maximum(1.0 + shape * height / scale, 0.0) ** (-1.0 / shape), np.float64)
+
+    # 1. How probable each scale is: by densities of the heights, of a tail that is cut off.
+    below = np.maximum(1.0 - share(cut), 1e-9)
+    with np.errstate(divide="ignore"):
+        logs = -(1.0 + 1.0 / shape) * np.log(np.maximum(1.0 + shape * heights[:, None] / scale, 0.0)).sum(axis=0)
+    logs -= len(heights) * np.log(scale * below) + 0.5 * (np.log(_SCALES) / np.log(2.0)) ** 2
+    weights = np.exp(logs - logs.max())
+    # 2. The probability of fewer than so many, term by term.
+    beyond = share(above) / (share(above) + below)
+    fewer, term = np.zeros_like(scale), (1.0 - beyond) ** max(len(heights), 1)
+    for number in range(count):
+        fewer, term = fewer + term, term * beyond * (max(len(heights), 1) + number) / (number + 1)
+    return max(float(((1.0 - fewer) * weights).sum() / weights.sum()), 0.0)
+
+
 def _weights_of(heights: F64) -> F64:
     """Return how likely heights (n,) make each shape and scale; the weights add up to 1."""
     shape, scale = _SHAPES[:, None, None], _SCALES[None, :, None] * max(float(heights.mean()), 1e-6)

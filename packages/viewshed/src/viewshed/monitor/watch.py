@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from viewshed.arrays import F32, Mask
-from viewshed.monitor.calibration import Calibration
-from viewshed.monitor.evidence import EARLIER_SWEEPS, EVIDENCE, SECTORS
+from viewshed.monitor.evidence import EARLIER_SWEEPS, EVIDENCE, SECTORS, Evidence
 from viewshed.monitor.score import RARE, Past, numbers_of
 from viewshed.monitor.tails import CALM_SWEEPS
+
+if TYPE_CHECKING:
+    from viewshed.monitor.calibration import Calibration
 
 MOST_HELD_SWEEPS = 100
 """After this many sweeps of an alarm, 10 s, they become the past: the world changed, or nobody can tell."""
@@ -47,10 +51,12 @@ class Watch:
     Attributes:
         calibration: says how rare a change is.
         limit: score above which a sweep is inconsistent.
+        kinds: of the evidence.
     """
 
     calibration: Calibration
     limit: float
+    kinds: Mapping[str, Evidence] = field(default_factory=lambda: EVIDENCE, repr=False)
     _past: Past = field(init=False, repr=False)
     _of_alarm: Past = field(init=False, repr=False)
     _suspect: Mask = field(default_factory=lambda: np.zeros(SECTORS, np.bool_), repr=False)
@@ -61,7 +67,7 @@ class Watch:
         self._past, self._of_alarm = self._nothing(), self._nothing()
 
     def _nothing(self) -> Past:
-        return Past(self.calibration.prior_scale, EVIDENCE)
+        return Past(self.calibration.prior_scale, self.kinds)
 
     def check(self, evidence: F32, *, impossible: bool = False) -> Verdict:
         """Return what the evidence (E, SECTORS) of the next sweep says, and keep it.
@@ -72,7 +78,7 @@ class Watch:
         # 1. Changes against the past.
         score, sectors = np.nan, np.full_like(evidence, np.nan)
         if self._past.sweeps >= EARLIER_SWEEPS:
-            score, sectors = self.calibration.score(self._past.reference().changes(numbers_of(onset)))
+            score, sectors = self.calibration.score(self._past.reference().changes(numbers_of(onset, self.kinds)))
         # 2. The alarm begins, goes on, or ends after enough calm sweeps.
         inconsistent = impossible or score > self.limit
         self._calm = 0 if inconsistent else self._calm + 1

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Hashable
 from typing import TypeVar
 
+Key = TypeVar("Key", bound=Hashable)
 Memory = TypeVar("Memory")
 
 AGENTS = 64
@@ -13,10 +15,10 @@ FORGET_S = 10.0
 """Sweeps from longer before do not help: who stood there has gone. A stream without a sweep for longer begins anew."""
 
 
-def remember(known: dict[str, Memory], agent: str, memory: Memory, most: int = AGENTS) -> None:
+def remember(known: dict[Key, Memory], key: Key, memory: Memory, most: int = AGENTS) -> None:
     """Keep what is remembered of an agent, and forget the agents heard longest ago where there are too many."""
-    known.pop(agent, None)
-    known[agent] = memory
+    known.pop(key, None)
+    known[key] = memory
     while len(known) > most:
         del known[next(iter(known))]
 

@@ -155,6 +155,15 @@ def test_places_by_latitude_and_longitude_look_along_their_way(tmp_path: Path) -
     assert placed.pose_covariance is None, "one deviation of three is none"
 
 
+def test_beside_a_gap_the_nearest_pose_within_50_ms_is_taken(tmp_path: Path) -> None:
+    poses = PoseFile.read(written(tmp_path, "5 1 0 0 0 0 0 1\n50 2 0 0 0 0 0 1\n"))
+    for t_ns, x_m in ((5 * S + 40_000_000, 1.0), (50 * S - 50_000_000, 2.0)):
+        placed = poses.place_sweep(SWEEP.replace(t_ns=t_ns), Path("a.pcd"), 0, [Path("a.pcd")])
+        assert placed.world_from_sensor.translation[0] == x_m
+    with pytest.raises(ValueError, match="lies in a gap of 45"):
+        poses.place_sweep(SWEEP.replace(t_ns=5 * S + 51_000_000), Path("a.pcd"), 0, [Path("a.pcd")])
+
+
 def test_standard_deviations_of_places_become_the_covariance_of_the_pose(tmp_path: Path) -> None:
     header = "timestamp,latitude,longitude,height,latitude_std_dev,longitude_std_dev,height_std_dev"
     rows = ["1000000000,37.0,-122.0,15.8,0.05,0.04,0.2", "1000000001,37.00001,-122.0,15.8,0.5,0.4,2"]

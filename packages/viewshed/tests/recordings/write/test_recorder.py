@@ -176,6 +176,10 @@ def test_an_alarm_is_told_with_its_reasons_and_numbers(junction: list[Moment], t
     values = {each.key: each.value for each in alarms.status[0].values}
     assert (values["score"], values["threshold"], values["p_value"]) == ("2.0000", "1.0000", "0.0100")
     assert values["suspect_from_deg"] == "20 25"
+    alone = doubted(junction[0])
+    assert alone.answer.report is not None
+    report = replace(alone.answer.report, now=replace(alone.answer.report.now, p_value=np.nan))
+    assert "p_value" not in replace(alone, answer=replace(alone.answer, report=report)).numbers()
     levels = [message.status[0].level for _, message in found["/diagnostics"]]
     assert levels == [2, 0]
 

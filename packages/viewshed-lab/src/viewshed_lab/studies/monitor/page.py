@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
@@ -20,7 +20,7 @@ from viewshed.monitor.tails import peaks_of
 from viewshed_lab._page import facts, page
 from viewshed_lab.studies.monitor.plan import MonitorPlan
 from viewshed_lab.studies.monitor.streams import ONSETS, StreamEvidence
-from viewshed_lab.studies.monitor.traces import Called
+from viewshed_lab.studies.monitor.traces import SPOOFED, Called
 from viewshed_lab.studies.pages import Table, fill_template
 
 ASKED = (1.0, 6.0, 10.0)
@@ -105,13 +105,15 @@ def files_of(
     # Hours of surprises by sector would fill the memory, and only the scores are asked for.
     every = [*judged, *(_scores_alone(judge(calibration, stream)) for stream in benign)]
     rates = _rates(calibration, every)
+    styles = [(str(style), some) for style, some in rates.groupby("style", sort=False)]
+    groups = [(f"{key}: {value}", some) for key in ("sensor", "conditions", "speed", "poses")
+              for value, some in rates.groupby(key, sort=False)]  # fmt: skip
     page = fill_template(
         "monitor/page.md", places=len({one.stream.style for one in judged}),
         minutes=f"{rates['hours'].sum() * 60.0:.0f}", calibration_minutes=f"{calibration.hours * 60.0:.0f}",
         styles=", ".join(plan.calibration), promises="\n".join(f"- {calibration.promise(rate)}" for rate in ASKED),
-        places_table=_rate_table([("all", rates), *rates.groupby("style", sort=False)]),
-        groups_table=_rate_table([(f"{key}: {value}", some) for key in ("sensor", "conditions", "speed", "poses")
-                                  for value, some in rates.groupby(key, sort=False)]),
+        places_table=_rate_table([("all", rates), *styles]), groups_table=_rate_table(groups),
+        exceeded=_exceeded([*styles, *groups]),
         families_table=_families(calibration, judged), reliability_table=_reliability(calibration, every),
         left_out_table=_left_out(calibration, judged), tried_table=_tried(left_out), clean_table=_clean(every),
         worsened_table=_worsened(judged), traces=[_traces(called), *_strips(called)],
@@ -140,11 +142,26 @@ def _rate_table(groups: Iterable[tuple[str, pd.DataFrame]]) -> Table:
     for name, some in groups:
         hours, cells = some["hours"].sum(), []
         for alarms in some[[*ASKED]].sum():
-            low, high = rate_interval(alarms, hours)
-            cells += [str(alarms), f"{alarms / hours:.1f} [{low:.1f}, {high:.1f}]"]
+            cells += [str(alarms), _rate(alarms, hours)]
         rows.append([name, f"{hours * 60:.1f}", *cells])
     words = [(f"alarms at a limit of {asked:g} an hour", f"an hour, limit of {asked:g}") for asked in ASKED]
     return Table(["", "minutes", *(word for both in words for word in both)], rows)
+
+
+def _rate(alarms: int, hours: float) -> str:
+    """Return how many alarms an hour that is, with its interval."""
+    low, high = rate_interval(alarms, hours)
+    return f"{alarms / hours:.1f} [{low:.1f}, {high:.1f}]"
+
+
+def _exceeded(groups: Sequence[tuple[str, pd.DataFrame]]) -> str:
+    """Return which groups of streams raise more alarms an hour than the limit is for, a line for each limit."""
+    lines = []
+    for asked in ASKED:
+        counts = [(name, int(some[asked].sum()), float(some["hours"].sum())) for name, some in groups]
+        more = [f"{name} {_rate(alarms, hours)}" for name, alarms, hours in counts if alarms > asked * hours]
+        lines.append(f"- at a limit of {asked:g} an hour: {', '.join(more) or 'none'}")
+    return "\n".join(lines)
 
 
 def _by_family(judged: Sequence[Judged]) -> dict[str, F32]:
@@ -176,14 +193,28 @@ def _families(calibration: Calibration, judged: Sequence[Judged]) -> Table:
             means.append([area, *caught])
     mean = np.mean(means, axis=0)
     rows.append(["mean of the attacks", "", f"{mean[0]:.3f}", *(f"{one:.2f}" for one in mean[1:]), ""])
+    by_style = [_onset_auroc([one for one in judged if one.stream.style == style]) for style in _styles(judged)]
+    worst, best = np.nanmin(by_style), np.nanmax(by_style)
+    rows.append(["onset AUROC by style", "", f"{worst:.3f} to {best:.3f}", *("" for _ in ASKED), ""])
     limits = (f"caught in .5 s at {r:g} alarms an hour" for r in ASKED)
     return Table(["attack", "cases", "onset AUROC", *limits, "median surprise"], rows)
+
+
+def _styles(judged: Sequence[Judged]) -> list[str]:
+    return sorted({one.stream.style for one in judged})
+
+
+def _onset_auroc(judged: Sequence[Judged]) -> float:
+    """Return the mean over the attacks of the AUROC of their first sweeps; NaN without any."""
+    benign = np.concatenate([one.scores for one in judged])
+    attacks = [found for name, found in _by_family(judged).items() if name not in HONEST]
+    return float(np.mean([auroc(benign, _scores(found)[:, 0]) for found in attacks])) if attacks else np.nan
 
 
 def _reliability(calibration: Calibration, judged: Sequence[Judged]) -> Table:
     shares = (0.1, 0.03, 0.01, 0.003, 0.001)
     rows = []
-    for name in ["all", *sorted({one.stream.style for one in judged})]:
+    for name in ["all", *_styles(judged)]:
         members = [one for one in judged if name in ("all", one.stream.style)]
         p: F64 = np.concatenate([[calibration.p_value(float(s)) for s in one.scores] for one in members])
         rows.append([name, *(f"{(p <= share).mean():.4f}" for share in shares)])
@@ -233,17 +264,41 @@ def _worsened(judged: Sequence[Judged]) -> Table:
 
 
 def _traces(called: Sequence[Called]) -> Table | str:
+    """Return what is called in each trace, and in all; sweeps of a trace without a key count as honest."""
+    by_trace = {name: [one for one in called if one.trace == name] for name in sorted({one.trace for one in called})}
+    if not by_trace:
+        return "The traces were not given."
     rows = []
-    for name, of_trace in pd.DataFrame(map(asdict, called)).groupby("trace") if called else ():
-        spoofed, honest = of_trace[of_trace["is_spoofed"]], of_trace[~of_trace["is_spoofed"]]
-        counts = [(spoofed, "inconsistent"), (honest, "inconsistent"), (honest, "degraded")]
+    for name, some in [*by_trace.items(), *([("all", list(called))] if len(by_trace) > 1 else [])]:
+        spoofed, honest = [one for one in some if one.is_spoofed], [one for one in some if not one.is_spoofed]
+        alarms = sum(one.inconsistent for one in honest)
         rows.append([
-            name, *(f"{some[what].sum()} of {len(some)}" for some, what in counts),
-            ", ".join(f"{one.number}: {one.score:.1f}" for one in spoofed.itertuples()),
-            f"{honest['score'].max():.1f}",
+            name,
+            "no key" if all(one.is_spoofed is None for one in some) else _share([one.inconsistent for one in spoofed]),
+            "" if name == "all" else ", ".join(_delays(some)),
+            _share([one.inconsistent for one in honest]),
+            f"{rate_interval(alarms, max(len(honest), 1) / 36000.0)[1]:.0f}",
+            _share([one.degraded for one in honest]),
+            "" if name == "all" else ", ".join(f"{one.number}: {one.score:.1f}" for one in spoofed),
+            f"{max((one.score for one in honest), default=0.0):.1f}",
         ])  # fmt: skip
-    header = ["trace", "spoofed called", "honest called", "honest degraded", "scores of the spoofed", "highest honest"]
-    return Table(header, rows) if rows else "The traces were not given."
+    upper = "honest called an hour, upper end (95 %)"
+    header = ["trace", "spoofed called", "delay in sweeps", "honest called", upper, "honest degraded"]
+    return Table([*header, "scores of the spoofed", "highest honest"], rows)
+
+
+def _share(which: Sequence[bool]) -> str:
+    return f"{sum(which)} of {len(which)}"
+
+
+def _delays(trace: Sequence[Called]) -> list[str]:
+    """Return after how many sweeps each spoofed one of a trace is called, within half a second."""
+    delays = []
+    for number, one in enumerate(trace):
+        if one.is_spoofed:
+            late = [later for later, each in enumerate(trace[number : number + 6]) if each.inconsistent]
+            delays.append(str(late[0]) if late else "missed")
+    return delays
 
 
 def _strips(called: Sequence[Called]) -> list[str]:
@@ -264,10 +319,24 @@ def _strips(called: Sequence[Called]) -> list[str]:
 def trace_page(called: Sequence[Called], limit: float, per_hour: float) -> str:
     """Return the page of the traces alone, with a strip of p-values over time."""
     about = facts(limit=f"score {limit:.2f}, for {per_hour:g} false alarms an hour")
+    names = sorted({one.trace for one in called})
+    known, others = [name for name in names if name in SPOOFED], [name for name in names if name not in SPOOFED]
+    parts = []
+    if known:
+        parts.append(
+            f"{' and '.join(known)}: real sweeps of one car (Allenpandas/LiDAR-Spoofing-Forensics-Datasets, Apache-2.0)"
+            " without rings; poses that lie beside them are not used. The authors publish no key; this one is inferred"
+            " from the data, where these sweeps stand out by gaps of 10 to 25 times in single statistics."
+        )
+    parts += [
+        f"{name}: no key says which sweeps are spoofed; all count as honest."
+        if all(one.is_spoofed is None for one in called if one.trace == name)
+        else f"{name}: which sweeps are spoofed was given with `--key`."
+        for name in others
+    ]
     intro = (
-        "Real sweeps of one car (Allenpandas/LiDAR-Spoofing-Forensics-Datasets, Apache-2.0), without poses or rings."
-        " The authors publish no key; this one is inferred from the data, where these sweeps stand out by gaps of 10 to"
-        " 25 times in single statistics. Sweeps about each spoofed one, and all that are called:"
+        " ".join(parts) + " An upper end is that of the Poisson counts (Garwood) of sweeps at 10 Hz. Sweeps about each"
+        " spoofed one, and all that are called:"
     )
     return page(
         "Public traces of spoofed drives", about, f"## What is called\n\n{_traces(called)}", intro, *_strips(called)

@@ -7,12 +7,15 @@ gaps of 10 to 25 times in single statistics.
 
 from __future__ import annotations
 
+import lzma
 import tarfile
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+from viewshed.cli._places import files_in
 from viewshed.grid import GRIDS
 from viewshed.io import read_sweep
 from viewshed.monitor import StreamMonitor
@@ -30,7 +33,7 @@ class Called:
 
     trace: str
     number: int
-    is_spoofed: bool
+    is_spoofed: bool | None  # None where no key says which are
     p_value: float  # NaN where too few sweeps came before
     score: float
     inconsistent: bool
@@ -38,32 +41,53 @@ class Called:
     reason: str  # the first; empty for none
 
 
-def trace_sweeps(archive: Path) -> Iterator[tuple[int, Sweep]]:
-    """Yield the number and the sweep of each file of a trace, in the order of time.
+def trace_sweeps(trace: Path) -> Iterator[tuple[int, Sweep]]:
+    """Yield the number and the sweep of each file of a trace, an archive or a folder, in the order of their numbers.
+
+    Files whose names are no numbers are numbered from 0.
 
     Raises:
-        ValueError: the archive holds no sweep.
+        ValueError: it is no archive, or holds no sweep.
         OSError: it cannot be read.
     """
-    with tarfile.open(archive, "r:xz") as packed, tempfile.TemporaryDirectory() as folder:
-        packed.extractall(folder, filter="data")
-        files = sorted(Path(folder).rglob("*.pcd"), key=lambda path: int(path.stem))
+    with _unpacked(trace) as folder:
+        holders = sorted({file.parent for file in folder.rglob("*.pcd")})
+        files = [file for holder in holders for file in files_in(holder) if file.suffix == ".pcd"]
         if not files:
-            raise ValueError(f"{archive} must hold PCD files of a sweep each, got none; give a trace's .tar.xz")
-        for file in files:
-            yield int(file.stem), read_sweep(file)
+            raise ValueError(f"{trace} must hold PCD files of a sweep each, got none; give a trace's .tar.xz or folder")
+        are_numbers = all(file.stem.isdecimal() for file in files)
+        for place, file in enumerate(files):
+            yield int(file.stem) if are_numbers else place, read_sweep(file)
 
 
-def call_trace(archive: Path, monitor: StreamMonitor) -> list[Called]:
-    """Return what a monitor says of each sweep of a trace."""
-    name, watching = archive.name.removesuffix(".tar.xz"), monitor.fresh()
+@contextmanager
+def _unpacked(trace: Path) -> Iterator[Path]:
+    """Hand out the folder of a trace, for an archive one that is removed afterwards."""
+    if trace.is_dir():
+        yield trace
+        return
+    with tempfile.TemporaryDirectory() as folder:
+        try:
+            with tarfile.open(trace) as packed:
+                packed.extractall(folder, filter="data")
+        except (tarfile.TarError, lzma.LZMAError, EOFError) as error:
+            raise ValueError(
+                f"{trace} must be a .tar.xz of PCD files, or a folder of them, got another or a damaged file"
+            ) from error
+        yield Path(folder)
+
+
+def call_trace(trace: Path, monitor: StreamMonitor, key: Collection[int] | None = None) -> list[Called]:
+    """Return what a monitor says of each sweep of a trace; ``key`` numbers the spoofed ones, ``SPOOFED`` without it."""
+    name, watching = trace.name.removesuffix(".tar.xz"), monitor.fresh()
+    key = SPOOFED.get(name) if key is None else key
     called, sensor = [], UNIDENTIFIED
-    for number, sweep in trace_sweeps(archive):
+    for number, sweep in trace_sweeps(trace):
         leveled = level(sweep, GRIDS["road"], sensor)
         now, sensor = watching.check(leveled).now, leveled.sensor_id
         called.append(
             Called(
-                name, number, number in SPOOFED.get(name, ()), now.p_value, now.score, now.inconsistent,
+                name, number, None if key is None else number in key, now.p_value, now.score, now.inconsistent,
                 now.degraded, now.reasons[0] if now.reasons else "",
             )
         )  # fmt: skip

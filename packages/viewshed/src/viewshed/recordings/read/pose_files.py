@@ -32,7 +32,7 @@ _MOVED_M = 0.5
 _BYTES_MAX = 64_000_000
 
 _NEAR_NS = 50_000_000
-"""Longest time of a sweep before the first pose or after the last one."""
+"""Longest time of a sweep before the first pose or after the last one, or from a pose beside a gap."""
 
 _GAP_NS = 2_000_000_000
 """Between poses farther apart than this nothing is interpolated."""
@@ -239,6 +239,9 @@ class PoseFile:
         if times_ns[after] == within_ns:
             return self.poses[after]
         if times_ns[after] - times_ns[after - 1] > _GAP_NS:
+            near = nearest(times_ns, within_ns)
+            if abs(times_ns[near] - within_ns) <= _NEAR_NS:
+                return self.poses[near]
             gap_s = (times_ns[after] - times_ns[after - 1]) / 1e9
             raise ValueError(f"the sweep at {t_ns / 1e9:.3f} s lies in a gap of {gap_s:.1f} s of {self.place.name}")
         share = (within_ns - times_ns[after - 1]) / (times_ns[after] - times_ns[after - 1])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum
@@ -172,7 +173,8 @@ class Moment:
             out["speed_mps"] = f"{answer.speed_mps:.2f}"
         if answer.report is not None:
             now = answer.report.now
-            out |= {"score": f"{now.score:.4f}", "threshold": f"{now.threshold:.4f}", "p_value": f"{now.p_value:.4f}"}
+            out |= {"score": f"{now.score:.4f}", "threshold": f"{now.threshold:.4f}"}
+            out |= {} if math.isnan(now.p_value) else {"p_value": f"{now.p_value:.4f}"}
             degrees = np.flatnonzero(answer.report.suspect) * (360 / SECTORS) - 180
             out["suspect_from_deg"] = " ".join(f"{degree:g}" for degree in degrees)
         if self.is_live:
