@@ -13,6 +13,7 @@ namespace viewshed {
 
 void bind_level_sweep(nb::module_& m) {
     m.attr("LEVEL_TILT") = LEVEL_TILT;
+    m.attr("LEAST_SUPPORT") = LEAST_SUPPORT;
     m.def(
         "farthest_returns",
         [](Points points, std::optional<In1<std::int16_t>> ring) {

@@ -14,9 +14,6 @@ from viewshed.sweep import Sweep
 PLAUSIBLE_HEIGHTS_M = (0.1, 10.0)
 """Heights at which robots, cars and masts carry sensors."""
 
-LEAST_SUPPORT = 0.4
-"""A height taken from a plane with a smaller share of the near ground on it is doubtful."""
-
 _MILLIMETERS_M, _KILOMETERS_M = 500.0, 0.5
 """Half of the returns of a file in meters are nearer than the one, and some are farther than the other."""
 
@@ -119,7 +116,7 @@ def _doubt_of_plane(leveled: LeveledSweep) -> str:
 
 def _doubt_of_axes(leveled: LeveledSweep) -> str:
     """Return a sentence where ground is found once the sweep is turned upside down, and hardly any as it is."""
-    if leveled.sweep.sensor_height_m is not None or leveled.ground.support >= LEAST_SUPPORT:
+    if leveled.is_sure_of_height:
         return ""
     turned = level(Sweep(leveled.sweep.points * np.array([1, -1, -1], np.float32)), GRIDS["road"])
     if turned.ground.support < _TURNED_SUPPORT:
@@ -134,7 +131,7 @@ def _doubt_of_height(leveled: LeveledSweep) -> str:
     height_m, given = leveled.sensor_height_m, leveled.sweep.sensor_height_m is not None
     low_m, high_m = PLAUSIBLE_HEIGHTS_M
     support = leveled.ground.support
-    if not given and 0 < support < LEAST_SUPPORT:
+    if support > 0 and not leveled.is_sure_of_height:
         return (
             f"the sensor's height of {height_m:.2f} m rests on a plane that only {support:.0%} of the near ground lies"
             " on: give --height if it is known"
