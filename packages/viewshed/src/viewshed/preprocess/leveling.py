@@ -31,6 +31,9 @@ MAX_RANGE_M = 250.0
 LEVEL_TILT = _core.LEVEL_TILT
 """A ground plane steeper than this is taken as the sensor's tilt where the attitude is not known."""
 
+EGO_BOX_M = _core.EGO_LENGTH_M, _core.EGO_WIDTH_M
+"""Half of the length and of the width of the vehicle below a sensor 1.2 to 3 m high, whose returns are left out."""
+
 LEAST_SUPPORT = _core.LEAST_SUPPORT
 """A height that was estimated from a plane with a smaller share of the near ground on it is doubtful."""
 

@@ -7,7 +7,7 @@ import numpy as np
 from viewshed.grid import GRIDS
 from viewshed.preprocess.beam_matching import match_beams, polar
 from viewshed.preprocess.elevation_clusters import find_clusters
-from viewshed.preprocess.leveling import LeveledSweep, level
+from viewshed.preprocess.leveling import EGO_BOX_M, LeveledSweep, level, range_limits
 from viewshed.sensors import LidarModel
 from viewshed.sweep import Sweep
 
@@ -137,7 +137,9 @@ def _doubt_of_height(leveled: LeveledSweep) -> str:
             " on: give --height if it is known"
         )
     if not given and support == 0:
-        if len(leveled.points) == 0 or _lies_on_the_ground(leveled.sweep):
+        if len(leveled.points) == 0:
+            return _doubt_of_box(leveled)
+        if _lies_on_the_ground(leveled.sweep):
             return ""
         return (
             f"no ground is seen, and the sensor is taken to be {height_m:.2f} m above it: give --height if it is known"
@@ -146,6 +148,19 @@ def _doubt_of_height(leveled: LeveledSweep) -> str:
         return ""
     found = "is given as" if given else "comes out as"
     return f"the sensor's height {found} {height_m:.2f} m, outside of {low_m:g} to {high_m:g} m: check --height"
+
+
+def _doubt_of_box(leveled: LeveledSweep) -> str:
+    """Return a sentence where the vehicle that is assumed below the sensor swallows all returns."""
+    length_m, width_m = EGO_BOX_M
+    near_m, _ = range_limits(leveled.sweep)
+    x, y, _ = np.abs(leveled.sweep.points[np.linalg.norm(leveled.sweep.points, axis=1) >= near_m]).T
+    if len(x) == 0 or np.hypot(x, y).max() > np.hypot(length_m, width_m):
+        return ""
+    return (
+        f"all {len(x)} returns lie within {length_m:g} m ahead or behind and {width_m:g} m aside, where a sensor that"
+        f" is taken to be {leveled.sensor_height_m:.2f} m high sees its own vehicle: give --height if it is lower"
+    )
 
 
 def _doubt_of_sensor(sweep: Sweep) -> str:
