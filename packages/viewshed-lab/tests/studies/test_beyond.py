@@ -18,7 +18,7 @@ GRID = BevGrid(128, 32.0)
 
 def test_a_cell_is_beyond_where_no_return_near_its_azimuth_is_as_far() -> None:
     leveled = replace(
-        level(Sweep(np.zeros((0, 3))), GRID),
+        level(Sweep(np.zeros((0, 3), np.float32)), GRID),
         azimuth=np.deg2rad(np.array([0.0, 179.0, 1.0], np.float32)),
         range_m=np.array([10.0, 20.0, 4.0], np.float32),
     )
