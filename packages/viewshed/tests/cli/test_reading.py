@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from tests.cli.commands import run
 
 import viewshed
-from viewshed import BevGrid, Sweep, write_sweep
+from viewshed import BevGrid, Rigid, Sweep, write_sweep
 from viewshed.io.export import read_npz
 from viewshed.preprocess.leveling import level
 from viewshed.preprocess.plausibility import doubts
@@ -58,6 +58,7 @@ def test_points_that_cannot_be_meters_about_the_sensor_end_in_no_picture(
 
 
 AXLE = np.array([1.3, 0.1, 1.5], np.float32)
+DENSE = cast(lidar_model("hdl32e"), junction(), 1.8).points
 NEAR = STREET.points * np.float32(0.1)
 BOX = NEAR[(np.abs(NEAR[:, 0]) < 2.6) & (np.abs(NEAR[:, 1]) < 1.0)]
 DOUBTED = [
@@ -68,6 +69,8 @@ DOUBTED = [
     (STREET.points, ("--height", "0.04"), "the sensor's height is given as 0.04 m, outside of 0.1 to 10 m"),
     (STREET.points, ("--sensor", "pandar40p"),
      "the returns do not lie at the beams of Pandar40P: name another --sensor, or none"),
+    (np.concatenate([DENSE, (Rigid.from_yaw(0.4, (1.2, 0.8, -0.3)) @ DENSE).astype(np.float32)]), (),
+     rf"no beams can be told apart among {2 * len(DENSE)} points, .* give each by itself, with --together"),
     (BOX, (),
      r"all \d+ returns lie within 2.7 m ahead or behind and 1.1 m aside, .* taken to be 1.80 m high"),
 ]  # fmt: skip

@@ -17,7 +17,7 @@ PLAUSIBLE_HEIGHTS_M = (0.1, 10.0)
 _MILLIMETERS_M, _KILOMETERS_M = 500.0, 0.5
 """Half of the returns of a file in meters are nearer than the one, and some are farther than the other."""
 
-_FEWEST = 100
+_FEWEST, _MANY = 100, 10_000
 
 _TURNED_SUPPORT = 0.6
 """Of 66 real sweeps, 58 have ground with more support than this, and none has it upside down."""
@@ -78,7 +78,8 @@ def doubts(leveled: LeveledSweep) -> tuple[str, ...]:
     if upside_down:
         return (upside_down,)
     found = (_doubt_of_height(leveled), _doubt_of_sensor(sweep), _doubt_of_origin(leveled))
-    return tuple(doubt for doubt in found if doubt)
+    # What lies wrong by its origin or sensor shows no beams either.
+    return tuple(doubt for doubt in found if doubt) or _doubt_of_beams(leveled)
 
 
 def _problem_of_units(sweep: Sweep) -> str:
@@ -186,6 +187,17 @@ def _doubt_of_field(sweep: Sweep, model: LidarModel) -> str:
         return ""
     field = f"{model.name}, {np.rad2deg(low):.0f}° to {np.rad2deg(high):.0f}°"
     return f"{outside:.0%} of the returns lie outside of the field of {field}: name another --sensor, or none"
+
+
+def _doubt_of_beams(leveled: LeveledSweep) -> tuple[str, ...]:
+    """Return a sentence where many points show no rings: then beams without a return are not known."""
+    sweep = leveled.sweep
+    if sweep.model is not None or leveled.sensor_id.ring is not None or len(sweep) < _MANY:
+        return ()
+    return (
+        f"no beams can be told apart among {len(sweep)} points, so those without a return are not known and far ground"
+        " may be missed: name --sensor if it is known; of several sensors in one cloud give each by itself, with --together",
+    )
 
 
 def _lies_on_the_ground(sweep: Sweep) -> bool:
