@@ -196,7 +196,8 @@ def _doubt_of_beams(leveled: LeveledSweep) -> tuple[str, ...]:
         return ()
     return (
         f"no beams can be told apart among {len(sweep)} points, so those without a return are not known and far ground"
-        " may be missed: name --sensor if it is known; of several sensors in one cloud give each by itself, with --together",
+        " may be missed: name --sensor if it is known; of several sensors in one cloud give each by itself, with"
+        " --together",
     )
 
 
