@@ -19,7 +19,7 @@ ifndef BESIDE  # mypy, which uses one core, runs beside the tests; all else goes
 .NOTPARALLEL:
 endif
 .DEFAULT_GOAL := help
-.PHONY: help demo check test properties lint types imports quick unit docs bench soak fuzz fuzz-library clean
+.PHONY: help demo check test properties lint types imports quick unit docs bench soak priors fuzz fuzz-library clean
 
 help:  ## list the commands
 	@awk -F ':.*## ' '/^[a-z]+:.*## /{printf "make %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -65,6 +65,26 @@ FORGED ?= 1000000
 soak: $(VENV)/.test  ## pipeline and ROS 2 node worked for half an hour each (MINUTES=2 for less), a million forged messages; docs/results/soak.md
 	OMP_NUM_THREADS=1 $(BENCHMARKS).messages --flood --forged $(FORGED)
 	OMP_NUM_THREADS=1 $(BENCHMARKS).soak --minutes $(MINUTES)
+
+# Samples are kept in FITTED: what was made is not made again. The core is compiled with the first network before the second
+# is fitted to what it says.
+FITTED ?= build/priors
+FIT := OMP_NUM_THREADS=1 $(BIN)/python tools/
+priors: $(VENV)/.test  ## the two networks of the default, fitted anew and compiled in; goes on where it was stopped
+	$(FIT)fit_no_return.py make learning road --scenes 0:1500 --out $(FITTED)/samples
+	$(FIT)fit_no_return.py make training road --scenes 0:1000 --out $(FITTED)/samples
+	$(FIT)fit_no_return.py make training indoor --scenes 0:500 --out $(FITTED)/samples
+	$(FIT)fit_no_return.py fit $(FITTED)/samples --out packages/viewshed/src/core/no_return_network.inc
+	$(PIP) --editable packages/viewshed
+	$(FIT)fit_calibration.py make learning road --scenes 0:900 --out $(FITTED)/cells
+	$(FIT)fit_calibration.py make training road --scenes 0:200 --out $(FITTED)/cells
+	$(FIT)fit_calibration.py make training indoor --scenes 0:240 --out $(FITTED)/cells
+	$(FIT)fit_calibration.py make own road --scenes 40:640 --out $(FITTED)/cells
+	$(FIT)fit_calibration.py make own indoor --scenes 16:416 --out $(FITTED)/cells
+	$(FIT)fit_calibration.py fit $(FITTED)/cells --out packages/viewshed/src/core/calibration_network.inc
+	$(PIP) --editable packages/viewshed
+	$(FIT)fit_calibration.py judge --page docs/results
+	$(FIT)model_card.py
 
 FUZZ_SECONDS ?= 600
 fuzz: $(VENV)/.test  ## the native core called with damaged arguments, half a minute each function, under sanitizers

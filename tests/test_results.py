@@ -54,7 +54,7 @@ def _worlds() -> str:
 def test_numbers_on_top_facts_at_the_foot() -> None:
     text = _worlds()
     assert text.split("\n\n")[1] == (
-        "- **.85** F1 of `shadow_map`, the default, on roads it was not made for\n"
+        "- **.85** F1 of `shadow_map`, the default, on roads it was not made for, table, height and attitude given\n"
         "- **.9 / .8** precision / recall of the same"
     )
     assert re.search(r"end\n\n## How it was made\n\n- seed: 3\n(- sources: [0-9a-f]{12}\n)?\Z", text)

@@ -11,7 +11,8 @@
 ``make`` writes one file for 10 scenes and goes on where it was stopped. ``fit`` keeps the last scenes of each file for
 validation, and writes the network as C++, which is compiled into the core; each part of each set counts the same. The
 scenes of ``own`` that the study of the wild judges (the first 40 and 16), the development and the sealed set are not
-used. ``judge`` writes the page of the calibration, of the former two, after the core is compiled.
+used. ``judge`` writes the page of the calibration and of what is guessed, of the former two, after the core is
+compiled.
 """
 
 from __future__ import annotations
@@ -29,19 +30,23 @@ from torch import nn
 from torch.nn import functional
 
 from viewshed.estimators.shadow_map import ShadowMap
-from viewshed.fov.visibility import TARGETS
+from viewshed.fov.estimate import THRESHOLD, FovEstimate
+from viewshed.fov.visibility import TARGETS, probability_of_visible
 from viewshed.grid import polar_of_cells
-from viewshed.preprocess.evidence import beam_evidence, cell_features
+from viewshed.preprocess.evidence import BeamEvidence, beam_evidence, cell_features
 from viewshed.preprocess.leveling import level
 from viewshed_lab._page import facts, page, table
-from viewshed_lab.data.wild import GIVEN, WildScene, wild_scenes, wild_tables
-from viewshed_lab.studies.formatting import format_rates
-from viewshed_lab.studies.wild.evaluate import reach_of, row_of
+from viewshed_lab.data.wild import GIVEN, WildObservation, WildScene, wild_scenes, wild_tables
+from viewshed_lab.studies.formatting import format_number, format_rate, format_rates
+from viewshed_lab.studies.judges import ground_errors
+from viewshed_lab.studies.wild.evaluate import ground_error_m, reach_of, row_of
 from viewshed_lab.studies.wild.figures import reliability_of
 from viewshed_lab.studies.wild.pool import Pool
 from viewshed_lab.training.no_return import MOST_DEVIATIONS, source_of
 
 PARTS = {"road": "car", "indoor": "pedestrian"}
+CASES = tuple(product(("development", "own"), PARTS))
+SURE_GROUND_M = 0.1
 COUNTED, CALIBRATED = "counted", "calibrated"
 WORDS = """What the default says of a cell, and how often it is so. *Counted*: the probability by counting beams alone.
 *Calibrated*: that of the estimate, by a network of eight units that was fitted to other worlds
@@ -49,6 +54,16 @@ WORDS = """What the default says of a cell, and how often it is so. *Counted*: t
 was fitted to; *own*: those of the presets, other scenes. Given: the maker's table, height and attitude; rings; nothing
 but points. The calibration error is over all cells whose truth is known, as far as the sensor sees a dark target; the
 doubt is judged where beams aim. Both say the same of what is visible, so that they have one F1."""
+
+PRIORS = """What was not measured and is guessed, rings given. *By inferred beams alone*: claimed cells that measured
+beams would not support; *false* if the truth does not show them. *Unresolved*: missed cells that would be claimed if
+the beams without a return had ended late. *Unseen ground*: cells whose ground rests on no return there, with the
+deviation that the estimate states."""
+
+STYLES = "Claims by style of the world, all scenes of a style together, rings given."
+
+FAR_M = 64.0
+"""Beyond this lie the corners of the road grid alone."""
 
 SCENES_OF_FILE, CELLS_OF_SWEEP, BATCH, RATE, UNITS = 10, 400, 4096, 8e-3, 8
 HELD_SHARE = 0.12
@@ -144,22 +159,82 @@ def fit(given: argparse.Namespace) -> None:
     print(f"{len(own)} cells fitted, {len(said)} held back; said/visible {text}")
 
 
+def prior_figures(seen: WildObservation, evidence: BeamEvidence, estimate: FovEstimate) -> dict[str, int]:
+    """Return numbers of cells: what is claimed by inferred beams alone, missed, and beyond ``FAR_M``, and of these."""
+    grid, target = estimate.grid, estimate.target
+    range_m = polar_of_cells(grid)[0]
+    known, true, claimed = seen.known & (range_m <= reach_of(seen)), seen.truth.visible(target), estimate.visible()
+    alone, late = (
+        probability_of_visible(returns, target.min_returns) >= THRESHOLD
+        for returns in (evidence.measured, evidence.measured + evidence.late)
+    )
+    inferred, missed, far = known & claimed & ~alone, known & true & ~claimed, known & (range_m > FAR_M)
+    masks = {
+        "claimed": known & claimed, "inferred": inferred, "inferred_false": inferred & ~true, "missed": missed,
+        "unresolved": missed & late, "far_true": far & true, "far_claimed": far & claimed,
+        "far_both": far & true & claimed,
+    }  # fmt: skip
+    return {name: int(mask.sum()) for name, mask in masks.items()}
+
+
+def table_of_priors(every: Pool, unseen: dict[str, pd.DataFrame]) -> str:
+    """Return the figures of what is guessed beside their targets, by part of the scenes."""
+    pools = [every.of(set_name=name, domain=domain) for name, domain in CASES]
+    sure = [ground[ground["std_m"] <= SURE_GROUND_M]["off_m"] for ground in unseen.values()]
+
+    def shares(part: str, whole: str) -> list[str]:
+        return [format_rate(pool.share(part, whole)) for pool in pools]
+
+    lines = [
+        ("claims by inferred beams alone", "", *shares("inferred", "claimed")),
+        ("of these false", "≤ .04", *shares("inferred_false", "inferred")),
+        ("missed cells, unresolved", "≤ .15", *shares("unresolved", "missed")),
+        (f"precision beyond {FAR_M:g} m", "", *shares("far_both", "far_claimed")),
+        (f"recall beyond {FAR_M:g} m", "≥ .65", *shares("far_both", "far_true")),
+        ("unseen ground within one deviation", ".63 to .73",
+         *(format_rate(float((ground["off_m"] <= ground["std_m"]).mean())) for ground in unseen.values())),
+        (f"90 % of its errors where it states ≤ {SURE_GROUND_M:g} m, m", "≤ 0.20",
+         *(format_number(float(off_m.quantile(0.9)), 2) for off_m in sure)),
+    ]  # fmt: skip
+    return table(("what", "target", *unseen), lines)
+
+
+def table_of_styles(every: Pool) -> str:
+    """Return precision, recall and F1 of each style of world."""
+    lines = []
+    for set_name, domain in CASES:
+        part = every.of(set_name=set_name, domain=domain)
+        for style in sorted(part.names("style")):
+            pool = part.of(style=style)
+            counts = pool.counts
+            rates = map(format_rate, (counts.precision, counts.recall, counts.f1))
+            lines.append((f"{domain}, {set_name}", style, str(len(pool.names("scene"))), *rates))
+    return table(("place", "style", "scenes", "precision", "recall", "F1"), lines)
+
+
 def judge(given: argparse.Namespace) -> None:
-    """Write the page: how well the probability is calibrated, beside that of counting alone."""
-    rows = []
-    for set_name, (domain, target) in product(("development", "own"), PARTS.items()):
+    """Write the page: how well the probability is calibrated, beside that of counting alone, and what is guessed."""
+    rows, ground = [], {f"{domain}, {name}": list[pd.DataFrame]() for name, domain in CASES}
+    for set_name, domain in CASES:
+        target = PARTS[domain]
         for scene in wild_scenes(set_name, domain):
             seen = scene.observe(0)
             for knowledge in GIVEN:
                 sample = seen.sample(knowledge)
                 leveled = level(sample.sweep, seen.truth.grid)
                 calibrated = ShadowMap(seen.truth.grid, TARGETS[target]).estimate(leveled)
-                counts = beam_evidence(leveled, seen.truth.grid, TARGETS[target]).visible_prob
-                for method, estimate in ((CALIBRATED, calibrated), (COUNTED, replace(calibrated, visible_prob=counts))):
-                    rows.append(row_of(seen, sample, estimate, leveled, method))
+                evidence = beam_evidence(leveled, seen.truth.grid, TARGETS[target])
+                counted = replace(calibrated, visible_prob=evidence.visible_prob)
+                priors = prior_figures(seen, evidence, calibrated)
+                for method, estimate in ((CALIBRATED, calibrated), (COUNTED, counted)):
+                    rows.append({**row_of(seen, sample, estimate, leveled, method), **priors})
+                if knowledge == "rings":
+                    known, error_m = seen.known, ground_error_m(leveled, sample)
+                    errors = ground_errors(leveled, seen.truth.grid.centers[known], error_m[known])
+                    ground[f"{domain}, {set_name}"].append(errors[~errors["seen"]])
     every = Pool(pd.DataFrame(rows))
     lines = []
-    for set_name, domain, knowledge in product(("development", "own"), PARTS, GIVEN):
+    for (set_name, domain), knowledge in product(CASES, GIVEN):
         both = [
             every.of(set_name=set_name, domain=domain, told=knowledge, method=name) for name in (COUNTED, CALIBRATED)
         ]
@@ -168,6 +243,8 @@ def judge(given: argparse.Namespace) -> None:
         aurocs = " → ".join(format_rates(pool.mean("auroc")) for pool in both)
         lines.append((f"{domain}, {set_name}, {knowledge}", str(len(both[0].names("scene"))), f1, eces, aurocs))
     header = ("place", "scenes", "F1", "calibration error", "AUROC of the doubt")
+    rings = every.of(told="rings", method=CALIBRATED)
+    unseen = {part: pd.concat(errors) for part, errors in ground.items()}
     picture = "calibration_reliability.png"
     text = page(
         "Calibration of the default",
@@ -175,6 +252,8 @@ def judge(given: argparse.Namespace) -> None:
         WORDS,
         "## Counted and calibrated\n\n" + table(header, lines),
         f"![Share of cells that are visible over the stated probability, development roads, rings given]({picture})",
+        f"## What is guessed\n\n{PRIORS}\n\n{table_of_priors(rings, unseen)}",
+        f"## By style\n\n{STYLES}\n\n{table_of_styles(rings)}",
     )
     roads = every.of(set_name="development", domain="road", told="rings")
     (given.page / picture).write_bytes(reliability_of(roads))

@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import argparse
+import ast
+import hashlib
+import re
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 from viewshed.networks.card import INT8, NetworkCard
@@ -13,14 +17,23 @@ from viewshed_lab._page import facts, page, table
 from viewshed_lab.data.presets import Preset, preset_named
 from viewshed_lab.studies.cases import TOUCHING
 from viewshed_lab.training.config import PAPER, read_config
+from viewshed_lab.training.no_return import arrays_of
 
-OUT = Path(__file__).resolve().parents[1] / "docs" / "results" / "model_card.md"
+ROOT = Path(__file__).resolve().parents[1]
+OUT = ROOT / "docs" / "results" / "model_card.md"
 _ABOUT = """\
 What the package ships, read from the files themselves. All were trained on simulated sweeps alone, so that their
 licence is that of viewshed. What they say is a probability that a target of the named kind, standing in a cell, would
 have given enough returns ([what visible means](../conventions.md#visible)).
 
 ## Files"""
+_COMPILED = """\
+## Networks of the default
+
+`shadow_map` uses two small networks, which are compiled into the core as float32 numbers. They know no grid, and were
+shown no attack. *Scenes*: of the [worlds in the wild](../simulate.md), from : to; the last 12 % of each file were held
+back. The development and the sealed set were not shown."""
+_COMMANDS = "The commands that make them again, in this order (`make priors`):"
 _TRAINING = """\
 ## Training
 
@@ -69,6 +82,10 @@ def card_page() -> str:
         "Model card of the shipped weights", facts(), _ABOUT,
         table(["name", "KB", "SHA-256", "grid", "target", "taken by", "parameters", "GFLOP", "numbers"],
               _files(cards)),
+        _COMPILED,
+        table(["name", "KB", "SHA-256", "layers", "says", "fitted to scenes"], map(_compiled, PRIORS)),
+        _COMMANDS,
+        "```sh\n" + "\n".join(command for prior in PRIORS for command in commands_of(prior.tool)) + "\n```",
         _TRAINING,
         table(["name", "data", "shown", "attacked", "seed", "best epoch", "validation F1", "trained with", "date"],
               map(_training, own.values())),
@@ -90,6 +107,40 @@ def _files(cards: dict[str, NetworkCard]) -> Iterator[list[str]]:
             ", ".join(f"`{each}`" for each in line.methods) or "name alone",
             f"{card.shape.parameters:,}", f"{card.shape.flops(line.cells) / 1e9:.2f}", card.precision,
         ]  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Prior:
+    """A network that is compiled into the core."""
+
+    file: str  # its numbers, in the folder of the core
+    tool: str  # that fits it
+    says: str  # what it answers, and in which unit
+
+
+PRIORS = (
+    Prior("no_return_network.inc", "fit_no_return.py",
+          "where beams without a return ended: weights of seven places, of an unseen one (log2 m) and of none"),
+    Prior("calibration_network.inc", "fit_calibration.py", "logit of the probability that a cell is visible"),
+)  # fmt: skip
+
+
+def commands_of(tool: str) -> list[str]:
+    """Return the commands that make and fit, as the tool's own text has them."""
+    text = ast.get_docstring(ast.parse((ROOT / "tools" / tool).read_text(encoding="utf-8"))) or ""
+    return re.findall(rf"^ +(python tools/{tool} (?:make|fit) .*)$", text, re.MULTILINE)
+
+
+def _compiled(prior: Prior) -> list[str]:
+    path = ROOT / "packages" / "viewshed" / "src" / "core" / prior.file
+    source = path.read_bytes()
+    arrays = arrays_of(source.decode("ascii"))
+    layers = [len(arrays["mean"]), *(len(array) for name, array in arrays.items() if name.endswith("_bias"))]
+    made = re.findall(r"make (\w+) (\w+) --scenes (\S+)", "\n".join(commands_of(prior.tool)))
+    return [
+        f"`{prior.file}`", f"{len(source) / 1000:.0f}", f"`{hashlib.sha256(source).hexdigest()[:12]}…`",
+        " → ".join(map(str, layers)), prior.says, ", ".join(f"{name} {domain} {part}" for name, domain, part in made),
+    ]  # fmt: skip
 
 
 def _training(card: NetworkCard) -> list[str]:

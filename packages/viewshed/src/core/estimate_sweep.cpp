@@ -97,7 +97,8 @@ SplitBeams split_by_image(const BeamImage& beams, const SweepLevel& at, double t
 // The beams of a sweep by what is known of their depth; viewshed.preprocess.no_return.beams_by_evidence.
 SplitBeams split_beams(const SweepInput& sweep, const UnleveledSweep& limits, const Identity& identity, const SweepLevel& at,
                        double top_m) {
-    if (const auto ring = identity.ring()) {
+    const bool is_sure_of_height = sweep.height_m || at.ground.support >= LEAST_SUPPORT;
+    if (const auto ring = identity.ring(); ring && is_sure_of_height) {
         // 1. The range image, if its pixels are beams: elevations are known, and rings about as full as the columns are many.
         if (identity.model != nullptr && at.image && at.image->has_full_rings) {
             const BeamTable& table = identity.model->beams;
@@ -115,7 +116,7 @@ SplitBeams split_beams(const SweepInput& sweep, const UnleveledSweep& limits, co
             return split_by_image({found.ring, &image, found.elevation, origin_m}, at, top_m);
         }
     }
-    // 3. It is not known which beams a sweep lacks: it has measured ones alone.
+    // 3. Over doubtful ground, or where it is not known which beams a sweep lacks, it has measured ones alone.
     SplitBeams split{Buffer<float>(at.level.count), std::nullopt};
     beam_slopes({at.level.points.data(), at.level.count, 3}, at.level.range_m, float(at.height_m), {nullptr, 0}, at.level.rows,
                 split.slope);

@@ -14,6 +14,9 @@ namespace viewshed {
 // A ground plane steeper than this is taken as the sensor's tilt where the attitude is not known.
 constexpr double LEVEL_TILT = 6.0 * std::numbers::pi / 180.0;
 
+// A height that was estimated from a plane with a smaller share of the near ground on it is doubtful.
+constexpr double LEAST_SUPPORT = 0.4;
+
 // Rows of a rotation (3, 3).
 using Rotation = std::array<double, 9>;
 

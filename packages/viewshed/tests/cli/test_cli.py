@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,11 +17,13 @@ from tests.cli.commands import run
 
 import viewshed
 from viewshed import BevGrid, read_sweep, write_sweep
-from viewshed.cli._outputs import output_names
+from viewshed.cli._outputs import _remarks, output_names
+from viewshed.fov.estimate import Basis, HeightSource
 from viewshed.geometry import Rigid
 from viewshed.io.export import read_npz
 from viewshed.io.messages.cpm import decode_cpm
 from viewshed.io.samples import junction_path
+from viewshed.preprocess.leveling import level
 
 
 @contextlib.contextmanager
@@ -148,6 +151,24 @@ def test_sweeps_that_say_little_claim_nothing(points: list[list[float]], told: s
     assert done.returncode == 0, done.stderr
     assert told in done.stdout
     assert not read_npz(tmp_path / "out" / "x.npz").visible().any()
+
+
+@pytest.mark.parametrize(
+    ("source", "unsure", "inferred", "said"),
+    [
+        ("estimated", 0.3, 0.41, ("sensor 1.80 m high", "30% of the view over unsure ground",
+                                  "41% of the view by inferred beams")),
+        ("assumed", 0.5, 0.1, ("ground not seen, sensor taken to be 1.80 m above it",
+                               "50% of the view over unsure ground")),
+        ("given", 0.2, 0.2, ("sensor 1.80 m high",)),
+    ],
+)  # fmt: skip
+def test_the_line_says_what_the_view_rests_on_where_that_is_much(
+    source: HeightSource, unsure: float, inferred: float, said: tuple[str, ...]
+) -> None:
+    sweep = viewshed.read_sweep(junction_path()).replace(model=None)
+    estimate = replace(viewshed.estimate(sweep), basis=Basis(1.8, source, 0.9, unsure, inferred, 80.0))
+    assert _remarks(level(sweep, estimate.grid), estimate) == said
 
 
 def test_without_a_command_the_help_is_shown_and_version_is_told() -> None:

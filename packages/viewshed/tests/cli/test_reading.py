@@ -8,7 +8,8 @@ import pytest
 from numpy.typing import NDArray
 from tests.cli.commands import run
 
-from viewshed import BevGrid, Sweep, write_sweep
+import viewshed
+from viewshed import BevGrid, Rigid, Sweep, write_sweep
 from viewshed.io.export import read_npz
 from viewshed.preprocess.leveling import level
 from viewshed.preprocess.plausibility import doubts
@@ -51,9 +52,15 @@ def test_points_that_cannot_be_meters_about_the_sensor_end_in_no_picture(
     told = run("info", tmp_path / "a.npz")  # says what it holds all the same
     assert (told.returncode, told.stdout.splitlines()[1].partition(":")[0]) == (0, "range")
     assert re.search(words, told.stderr)
+    for source in (points, tmp_path / "a.npz"):  # nor in an estimate by Python
+        with pytest.raises(ValueError, match=words):
+            viewshed.estimate(source)
 
 
 AXLE = np.array([1.3, 0.1, 1.5], np.float32)
+DENSE = cast(lidar_model("hdl32e"), junction(), 1.8).points
+NEAR = STREET.points * np.float32(0.1)
+BOX = NEAR[(np.abs(NEAR[:, 0]) < 2.6) & (np.abs(NEAR[:, 1]) < 1.0)]
 DOUBTED = [
     (STREET.points + np.array([0.0, 0.0, 1.8], np.float32), (),
      "no point lies below the origin: are the points counted from the road\\? Say with --origin X,Y,Z"),
@@ -62,6 +69,10 @@ DOUBTED = [
     (STREET.points, ("--height", "0.04"), "the sensor's height is given as 0.04 m, outside of 0.1 to 10 m"),
     (STREET.points, ("--sensor", "pandar40p"),
      "the returns do not lie at the beams of Pandar40P: name another --sensor, or none"),
+    (np.concatenate([DENSE, (Rigid.from_yaw(0.4, (1.2, 0.8, -0.3)) @ DENSE).astype(np.float32)]), (),
+     rf"no beams can be told apart among {2 * len(DENSE)} points, .* give each by itself, with --together"),
+    (BOX, (),
+     r"all \d+ returns lie within 2.7 m ahead or behind and 1.1 m aside, .* taken to be 1.80 m high"),
 ]  # fmt: skip
 
 
@@ -72,6 +83,10 @@ def test_what_a_file_may_not_be_is_doubted(
     code, [line] = lines(written(points, tmp_path), *options)
     assert code == 0
     assert re.search(rf"^viewshed: a: warning: .*{words}", line)
+    if not options:
+        for source in (points, tmp_path / "a.npz"):
+            with pytest.warns(UserWarning, match=words):
+                viewshed.estimate(source, grid="indoor")
 
 
 @pytest.mark.parametrize("options", [("--sensor", "vlp16"), ("--vehicle-yaw", "90"), ()])

@@ -173,6 +173,7 @@ def test_the_library_answers_as_python_does_on_simulated_sweeps(library: c.CDLL,
     tilt = np.array([np.cos(0.1), 0.0, np.sin(0.1), 0.0])
     assert_alike(library, sweep.replace(attitude=tilt))
     assert_alike(library, sweep.select(np.repeat(np.arange(len(sweep)), 2)))
+    assert_alike(library, sweep.select(sweep.points[:, 2] > 0.0))  # sees no ground
     assert_alike(library, sweep.select(np.arange(3)))
     assert_alike(library, sweep.select(np.arange(0)))
 

@@ -164,6 +164,19 @@ def test_without_rings_the_beam_table_tells_else_the_elevations_and_else_nothing
     assert len(none.depth_m) == 0
 
 
+def test_over_unseen_ground_measured_beams_alone_count() -> None:
+    """The walls of a closet end all beams above its floor; a height that is given makes up for that."""
+    walls = (Box(2.1, 0, 1, 9, 3), Box(-2.4, 0, 1, 9, 3), Box(0, 1.8, 9, 1, 3), Box(0, -1.5, 9, 1, 3))
+    closet = cast(MODEL, Scene(walls), 1.8)
+    dark = closet.select((_azimuth(closet) > 0.3) | (np.random.default_rng(0).random(len(closet)) < 0.5))
+    bare = dark.replace(sensor_height_m=None)
+    assert level(bare, GRID).ground.support < 0.4
+    split = beams_by_evidence(level(bare, GRID), 1.5)
+    assert len(split.measured.depth_m) > 1000
+    assert [len(kind.depth_m) for kind in (split.inferred, split.early, split.late)] == [0, 0, 0]
+    assert len(_explained(dark).depth_m) > 100
+
+
 @pytest.mark.parametrize("middle", np.deg2rad([0.5, 168.5, 179.5, -173.5]))
 def test_a_gap_is_filled_from_both_sides_across_the_seam_as_elsewhere(middle: float) -> None:
     # 40 columns of a ring are empty: a neighbor fills up to 16 of them, and eight in the middle stay open.

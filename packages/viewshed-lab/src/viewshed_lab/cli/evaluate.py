@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from viewshed.cli._options import TargetName, Weights, parse_target
+from viewshed.cli._options import AS_THEY_ARE, Index, TargetName, Weights, parse_target
 
 if TYPE_CHECKING:
     from viewshed.fov.estimate import FovEstimator
@@ -156,6 +156,33 @@ def boxes(
     from viewshed_lab.studies.judges import boxes_page
 
     _tell(boxes_page(recording, open_source(recording), _estimators(methods), CAR, limit), out)
+
+
+@evaluate_app.command()
+def beyond(
+    files: Annotated[
+        list[Path] | None,
+        typer.Argument(metavar="FILE…", help="Sweeps in any known format, folders of them, or recordings."),
+    ] = None,
+    index: Index = None,
+    out: Out = None,
+) -> None:
+    """Measure which share of the claims lies beyond every return.
+
+    In a room only doors and windows make such a claim right.
+
+    Example: viewshed evaluate beyond office.pcd room.pcap --out beyond.md
+    """
+    from viewshed.cli._outputs import Failures, output_names
+    from viewshed.cli._places import chosen_files
+    from viewshed.cli._stream import named_sweeps
+    from viewshed_lab.studies.beyond import beyond_page
+
+    jobs, failures = list(chosen_files(files or [], index)), Failures()
+    sweeps = named_sweeps(AS_THEY_ARE, jobs, output_names([file for file, _ in jobs]), failures)
+    _tell(beyond_page((named.name, named.sweep) for named in sweeps), out)
+    if failures.count:
+        raise typer.Exit(2)
 
 
 def _estimators(methods: str) -> dict[str, FovEstimator]:

@@ -5,6 +5,7 @@
 #include <optional>
 #include <utility>
 
+#include "ego_vehicle.hpp"
 #include "farthest_returns.hpp"
 #include "ground_lattice.hpp"
 #include "stages.hpp"
@@ -13,6 +14,9 @@ namespace viewshed {
 
 void bind_level_sweep(nb::module_& m) {
     m.attr("LEVEL_TILT") = LEVEL_TILT;
+    m.attr("LEAST_SUPPORT") = LEAST_SUPPORT;
+    m.attr("EGO_LENGTH_M") = EGO_LENGTH_M;
+    m.attr("EGO_WIDTH_M") = EGO_WIDTH_M;
     m.def(
         "farthest_returns",
         [](Points points, std::optional<In1<std::int16_t>> ring) {

@@ -378,8 +378,8 @@ def total_line(areas_m2: Sequence[float], times_ms: Sequence[float | None]) -> s
     return f"{len(areas_m2)} sweeps: {mean_m2:.0f} m² on average, {min(areas_m2):.0f} to {max(areas_m2):.0f}{elapsed}"
 
 
-_MUCH_UNSURE = 0.2
-"""A larger share of the view on unsure ground is worth a word."""
+_MUCH = 0.2
+"""A larger share of the view over unsure ground, or by inferred beams, is worth a word."""
 
 
 def _remarks(leveled: LeveledSweep, estimate: FovEstimate) -> tuple[str, ...]:
@@ -389,12 +389,13 @@ def _remarks(leveled: LeveledSweep, estimate: FovEstimate) -> tuple[str, ...]:
     if len(leveled.points) == 0:
         return (f"no usable return among {len(leveled.sweep)} points: nothing is known",)
     basis, remarks = estimate.basis, []
-    if basis is not None and basis.height_source == "assumed":
-        remarks.append(f"ground not seen, sensor taken to be {basis.sensor_height_m:.2f} m above it")
-    elif basis is not None:
-        remarks.append(f"sensor {basis.sensor_height_m:.2f} m high")
-        if basis.unsure_ground_share > _MUCH_UNSURE and estimate.visible().any():
-            remarks.append(f"{basis.unsure_ground_share:.0%} of the view over unsure ground")
+    if basis is not None:
+        height, is_assumed = f"{basis.sensor_height_m:.2f} m", basis.height_source == "assumed"
+        seen = f"ground not seen, sensor taken to be {height} above it" if is_assumed else f"sensor {height} high"
+        remarks.append(seen)
+        if estimate.visible().any():
+            shares = ((basis.unsure_ground_share, "over unsure ground"), (basis.inferred_share, "by inferred beams"))
+            remarks += [f"{share:.0%} of the view {words}" for share, words in shares if share > _MUCH]
     model = leveled.sweep.model
     beyond = returns_beyond(leveled.sweep.points, model)
     if model is not None and beyond:

@@ -25,7 +25,8 @@ from viewshed.fov.visibility import CAR, TARGETS, Target
 from viewshed.geometry import Rigid
 from viewshed.grid import GRIDS, BevGrid
 from viewshed.preprocess.azimuth_bins import Crop
-from viewshed.preprocess.leveling import LeveledSweep
+from viewshed.preprocess.leveling import LeveledSweep, level
+from viewshed.preprocess.plausibility import check_units, doubts
 from viewshed.sensors import LidarModel
 from viewshed.sweep import Sweep, sweep_of_points
 
@@ -190,7 +191,8 @@ def estimate(
 ) -> FovEstimate:
     """Return the field of view of one sweep by :data:`DEFAULT_ESTIMATOR`, or by ``method``.
 
-    The estimator is loaded once and kept; for options of networks take :func:`load_estimator`.
+    The estimator is loaded once and kept; for options of networks take :func:`load_estimator`. What cannot well be as
+    it was read, of points or a file, is a warning.
 
     Args:
         sweep: a Sweep; a file that :func:`viewshed.read_sweep` reads; or points (N, 3+) in meters, x forward, y left,
@@ -207,8 +209,8 @@ def estimate(
 
     Raises:
         OSError: the file cannot be opened.
-        ValueError: the points are no sweep, a name is unknown, a value is given for a Sweep that has its own, or sweeps
-            of one vehicle have no mountings or are of different times.
+        ValueError: the points are no sweep or not in meters, a name is unknown, a value is given for a Sweep that has
+            its own, or sweeps of one vehicle have no mountings or are of different times.
 
     >>> import numpy as np
     >>> estimate(np.zeros((0, 4)), sensor="vlp16", world_from_sensor=Rigid.identity()).method
@@ -245,7 +247,11 @@ def estimate(
             sensor_height_m=sensor_height_m,
             world_from_sensor=world_from_sensor,
         )
-    return estimator.estimate(measured, history)
+    check_units(measured)
+    leveled = level(measured, estimator.grid)
+    for doubt in doubts(leveled):
+        warnings.warn(doubt, stacklevel=2)
+    return estimator.estimate(leveled, history)
 
 
 @lru_cache(maxsize=4)

@@ -31,6 +31,12 @@ MAX_RANGE_M = 250.0
 LEVEL_TILT = _core.LEVEL_TILT
 """A ground plane steeper than this is taken as the sensor's tilt where the attitude is not known."""
 
+EGO_BOX_M = _core.EGO_LENGTH_M, _core.EGO_WIDTH_M
+"""Half of the length and of the width of the vehicle below a sensor 1.2 to 3 m high, whose returns are left out."""
+
+LEAST_SUPPORT = _core.LEAST_SUPPORT
+"""A height that was estimated from a plane with a smaller share of the near ground on it is doubtful."""
+
 PLANE_HEIGHT_M = 0.3
 """Height of a scan in one plane where it is not known: within every target."""
 
@@ -78,6 +84,11 @@ class LeveledSweep:
     def sensor_height_m(self) -> float:
         """Height of the sensor above the ground below it, in meters."""
         return float(self.level_from_sensor.translation[2])
+
+    @property
+    def is_sure_of_height(self) -> bool:
+        """Whether the sensor's height is given, or enough of the near ground supports it."""
+        return self.sweep.sensor_height_m is not None or self.ground.support >= LEAST_SUPPORT
 
     @property
     def world_from_level(self) -> Rigid | None:

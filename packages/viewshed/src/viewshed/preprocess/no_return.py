@@ -72,14 +72,14 @@ def beams_by_evidence(leveled: LeveledSweep, top_m: float) -> BeamsByEvidence:
 
     Beams that pass above targets of height ``top_m`` wherever they stand are left out. Rings and columns without any
     return (dead, dropped) have no beams. Of a cloud without a ring column and without a model it is not known which
-    beams it lacks: it has measured ones alone. A scan in one plane says itself which beams met nothing, and how far
-    they went.
+    beams it lacks: it has measured ones alone. So has a sweep whose height is not given and rests on hardly any ground:
+    the guesses need that ground. A scan in one plane says itself which beams met nothing, and how far they went.
     """
     none = Beams(*np.zeros((3, 0), np.float32))
     if leveled.sweep.planar is not None:
         open_beams = _open_beams(leveled, leveled.sweep.planar)
         return BeamsByEvidence(leveled.beams(), open_beams, open_beams, open_beams)
-    image = _pixels(leveled)
+    image = _pixels(leveled) if leveled.is_sure_of_height else None
     if image is None:
         return BeamsByEvidence(leveled.beams(), none, none, none)
     ground = leveled.ground

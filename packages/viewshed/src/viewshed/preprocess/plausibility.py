@@ -7,20 +7,17 @@ import numpy as np
 from viewshed.grid import GRIDS
 from viewshed.preprocess.beam_matching import match_beams, polar
 from viewshed.preprocess.elevation_clusters import find_clusters
-from viewshed.preprocess.leveling import LeveledSweep, level
+from viewshed.preprocess.leveling import EGO_BOX_M, LeveledSweep, level, range_limits
 from viewshed.sensors import LidarModel
 from viewshed.sweep import Sweep
 
 PLAUSIBLE_HEIGHTS_M = (0.1, 10.0)
 """Heights at which robots, cars and masts carry sensors."""
 
-LEAST_SUPPORT = 0.4
-"""A height taken from a plane with a smaller share of the near ground on it is doubtful."""
-
 _MILLIMETERS_M, _KILOMETERS_M = 500.0, 0.5
 """Half of the returns of a file in meters are nearer than the one, and some are farther than the other."""
 
-_FEWEST = 100
+_FEWEST, _MANY = 100, 10_000
 
 _TURNED_SUPPORT = 0.6
 """Of 66 real sweeps, 58 have ground with more support than this, and none has it upside down."""
@@ -81,7 +78,8 @@ def doubts(leveled: LeveledSweep) -> tuple[str, ...]:
     if upside_down:
         return (upside_down,)
     found = (_doubt_of_height(leveled), _doubt_of_sensor(sweep), _doubt_of_origin(leveled))
-    return tuple(doubt for doubt in found if doubt)
+    # What lies wrong by its origin or sensor shows no beams either.
+    return tuple(doubt for doubt in found if doubt) or _doubt_of_beams(leveled)
 
 
 def _problem_of_units(sweep: Sweep) -> str:
@@ -119,7 +117,7 @@ def _doubt_of_plane(leveled: LeveledSweep) -> str:
 
 def _doubt_of_axes(leveled: LeveledSweep) -> str:
     """Return a sentence where ground is found once the sweep is turned upside down, and hardly any as it is."""
-    if leveled.sweep.sensor_height_m is not None or leveled.ground.support >= LEAST_SUPPORT:
+    if leveled.is_sure_of_height:
         return ""
     turned = level(Sweep(leveled.sweep.points * np.array([1, -1, -1], np.float32)), GRIDS["road"])
     if turned.ground.support < _TURNED_SUPPORT:
@@ -134,13 +132,15 @@ def _doubt_of_height(leveled: LeveledSweep) -> str:
     height_m, given = leveled.sensor_height_m, leveled.sweep.sensor_height_m is not None
     low_m, high_m = PLAUSIBLE_HEIGHTS_M
     support = leveled.ground.support
-    if not given and 0 < support < LEAST_SUPPORT:
+    if support > 0 and not leveled.is_sure_of_height:
         return (
             f"the sensor's height of {height_m:.2f} m rests on a plane that only {support:.0%} of the near ground lies"
             " on: give --height if it is known"
         )
     if not given and support == 0:
-        if len(leveled.points) == 0 or _lies_on_the_ground(leveled.sweep):
+        if len(leveled.points) == 0:
+            return _doubt_of_box(leveled)
+        if _lies_on_the_ground(leveled.sweep):
             return ""
         return (
             f"no ground is seen, and the sensor is taken to be {height_m:.2f} m above it: give --height if it is known"
@@ -149,6 +149,19 @@ def _doubt_of_height(leveled: LeveledSweep) -> str:
         return ""
     found = "is given as" if given else "comes out as"
     return f"the sensor's height {found} {height_m:.2f} m, outside of {low_m:g} to {high_m:g} m: check --height"
+
+
+def _doubt_of_box(leveled: LeveledSweep) -> str:
+    """Return a sentence where the vehicle that is assumed below the sensor swallows all returns."""
+    length_m, width_m = EGO_BOX_M
+    near_m, _ = range_limits(leveled.sweep)
+    x, y, _ = np.abs(leveled.sweep.points[np.linalg.norm(leveled.sweep.points, axis=1) >= near_m]).T
+    if len(x) == 0 or np.hypot(x, y).max() > np.hypot(length_m, width_m):
+        return ""
+    return (
+        f"all {len(x)} returns lie within {length_m:g} m ahead or behind and {width_m:g} m aside, where a sensor that"
+        f" is taken to be {leveled.sensor_height_m:.2f} m high sees its own vehicle: give --height if it is lower"
+    )
 
 
 def _doubt_of_sensor(sweep: Sweep) -> str:
@@ -174,6 +187,18 @@ def _doubt_of_field(sweep: Sweep, model: LidarModel) -> str:
         return ""
     field = f"{model.name}, {np.rad2deg(low):.0f}° to {np.rad2deg(high):.0f}°"
     return f"{outside:.0%} of the returns lie outside of the field of {field}: name another --sensor, or none"
+
+
+def _doubt_of_beams(leveled: LeveledSweep) -> tuple[str, ...]:
+    """Return a sentence where many points show no rings: then beams without a return are not known."""
+    sweep = leveled.sweep
+    if sweep.model is not None or leveled.sensor_id.ring is not None or len(sweep) < _MANY:
+        return ()
+    return (
+        f"no beams can be told apart among {len(sweep)} points, so those without a return are not known and far ground"
+        " may be missed: name --sensor if it is known; of several sensors in one cloud give each by itself, with"
+        " --together",
+    )
 
 
 def _lies_on_the_ground(sweep: Sweep) -> bool:
