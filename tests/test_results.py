@@ -110,7 +110,7 @@ def test_every_source_of_a_page_is_there() -> None:
 
 
 NO_FIGURES = re.compile(
-    r"viewshed/(__init__|_\w+|arrays|show/.*)\.py|viewshed_lab/(_\w+|data/__init__)\.py|benchmarks/report\.py"
+    r"viewshed/(__init__|_\w+|arrays|cli/_\w+|show/.*)\.py|viewshed_lab/(_\w+|data/__init__)\.py|benchmarks/report\.py"
     r"|viewshed_lab/studies/(figures|formatting|pages|plan|runner|store)\.py"
 )
 """Modules that hold no figure: they store, schedule, draw or format."""

@@ -31,4 +31,4 @@ def test_the_first_bad_box_is_named_with_its_numbers() -> None:
     boxes[1, 4], boxes[2, 0] = 0.0, np.nan
     numbers = "box 1: x_m 4, y_m -2, z_m 0.8, length_m 4.2, width_m 0, height_m 1.5, yaw 0.3; leave it out"
     with pytest.raises(ValueError, match=re.escape(f"positive sizes, got {numbers}")):
-        Detections(boxes, np.full(3, 3), np.zeros(3))
+        Detections(boxes, np.full(3, 3), np.zeros(3, np.int32))
