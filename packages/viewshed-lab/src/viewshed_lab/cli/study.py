@@ -218,7 +218,7 @@ def agents(
 
 @study_app.command()
 def cases(
-    scenes: Annotated[int, typer.Option(min=1, help="Scenes of each case; four take some minutes.")] = 4,
+    scenes: Annotated[int, typer.Option(min=1, help="Scenes of each case; 24 take about three minutes.")] = 24,
     page: Annotated[Path, typer.Option(help="Markdown page to write.")] = Path("cases.md"),
 ) -> None:
     """The four published cases: robot, mast, perception, trust.
