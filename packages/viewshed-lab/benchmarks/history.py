@@ -61,16 +61,16 @@ def rows_of(name: str, scenes: int, folder: Path) -> Iterator[tuple[str, ...]]:
     archive = simulate(drives, Storage.of(folder / name), LocalEngine(1))
     counts, opened_m2 = np.zeros((len(METHODS), 3)), np.zeros(len(METHODS))
     for scene in range(scenes):
-        numbers = [(scene * TIMES + time) * agents + scene % agents for time in range(TIMES)]
-        sample, earlier = archive[numbers[-1]], [archive[number].sweep for number in numbers[:-1:EVERY]]
+        frames = [(scene * TIMES + time) * agents + scene % agents for time in range(TIMES)]
+        sample, earlier = archive[frames[-1]], [archive[frame].sweep for frame in frames[:-1:EVERY]]
         estimator = ShadowMap(sample.truth.grid, CAR)
         truth, known = sample.truth.visible(CAR.name), sample.known
         study = StudySample(sample, tuple(reversed(earlier)))
         attacked = apply(Case("attack", "far_wall", DEFAULT), study, np.random.default_rng((SEED, scene))).sweep
         both = zip(claims(estimator, sample.sweep, earlier), claims(estimator, attacked, earlier), strict=True)
-        for method, (clean, lied) in enumerate(both):
-            counts[method] += [(each & known).sum() for each in (clean & truth, clean & ~truth, ~clean & truth)]
-            opened_m2[method] += (lied & ~clean & ~truth & known).sum() * estimator.grid.cell_m**2
+        for number, (clean, lied) in enumerate(both):
+            counts[number] += [(each & known).sum() for each in (clean & truth, clean & ~truth, ~clean & truth)]
+            opened_m2[number] += (lied & ~clean & ~truth & known).sum() * estimator.grid.cell_m**2
     for method, (hit, false, missed), area_m2 in zip(METHODS, counts, opened_m2, strict=True):
         rates = (hit / (hit + false), hit / (hit + missed), 2 * hit / (2 * hit + false + missed))
         yield name, method, *map(format_rate, rates), f"{area_m2 / scenes:.0f}"
@@ -84,7 +84,7 @@ def main(words: Sequence[str] | None = None) -> None:
     with tempfile.TemporaryDirectory() as folder:
         rows = [row for name in PRESETS for row in rows_of(name, given.scenes, Path(folder))]
     header = ("preset", "method", "precision", "recall", "F1", "falsely opened by far_wall, m²")
-    print(page("Earlier sweeps", facts(seed=SEED, scenes=f"{given.scenes} of each preset"), table(header, rows)))
+    print(page("Earlier sweeps", facts(seed=str(SEED), scenes=f"{given.scenes} of each preset"), table(header, rows)))
 
 
 if __name__ == "__main__":
