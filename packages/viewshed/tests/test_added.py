@@ -71,6 +71,9 @@ packets = newcomer:SENSOR_ROWS
 
 [viewshed.sensors]
 two_rings = newcomer:SENSOR_ROWS
+
+[viewshed.weights]
+pixels = newcomer:SENSOR_ROWS
 """
 """What a package of another version names: modules and attributes that are gone, or things of another kind."""
 
@@ -124,6 +127,8 @@ def test_the_command_line_knows_them_as_well_and_lists_them(installed: Path) -> 
          "estimators 'near_by'", "it must name a class or a function, got 2"),
         ("estimate a.npy --sensor two_rings",
          "sensors 'two_rings'", "it must name the path of a TOML file, got 2"),
+        ("estimate a.npy --weights pixels",
+         "weights 'pixels'", "it must name a folder, got 2"),
     ],
 )  # fmt: skip
 def test_what_cannot_be_loaded_is_named_with_its_package_when_it_is_used(

@@ -13,7 +13,7 @@ import json
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from viewshed._extras import plugins
+from viewshed._extras import load, plugins
 from viewshed._files import write_atomic
 from viewshed.grid import BevGrid
 
@@ -88,8 +88,11 @@ def manifest(folder: Path = WEIGHTS) -> dict[str, ShippedWeights]:
 
 def _folders() -> dict[Path, str]:
     """Return the folders of shipped weights with the package that brings each, that of viewshed first."""
-    added = plugins("weights").values()
-    return {WEIGHTS: "viewshed"} | {point.load(): point.dist.name if point.dist else point.name for point in added}
+    added = {
+        load(point, lambda folder: isinstance(folder, Path), "a folder"): point.dist.name if point.dist else point.name
+        for point in plugins("weights").values()
+    }
+    return {WEIGHTS: "viewshed"} | added
 
 
 def shipped_names() -> tuple[str, ...]:
