@@ -11,6 +11,8 @@ import argparse
 import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from functools import reduce
+from operator import add
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +21,7 @@ from numpy.typing import NDArray
 from viewshed.estimators.shadow_map import ShadowMap
 from viewshed.estimators.temporal import where_confirmed
 from viewshed.fov.visibility import CAR
+from viewshed.metrics import ConfusionCounts
 from viewshed.preprocess.history import history_of
 from viewshed.preprocess.leveling import level
 from viewshed.sweep import Sweep
@@ -59,7 +62,8 @@ def rows_of(name: str, scenes: int, folder: Path) -> Iterator[tuple[str, ...]]:
         preset, splits=("test",), scenes=(scenes,), frames=(scenes * TIMES * agents,), interval_s=INTERVAL_S, seed=SEED
     )
     archive = simulate(drives, Storage.of(folder / name), LocalEngine(1))
-    counts, opened_m2 = np.zeros((len(METHODS), 3)), np.zeros(len(METHODS))
+    counts: list[list[ConfusionCounts]] = [[] for _ in METHODS]
+    opened_m2 = np.zeros(len(METHODS))
     for scene in range(scenes):
         frames = [(scene * TIMES + time) * agents + scene % agents for time in range(TIMES)]
         sample, earlier = archive[frames[-1]], [archive[frame].sweep for frame in frames[:-1:EVERY]]
@@ -68,12 +72,14 @@ def rows_of(name: str, scenes: int, folder: Path) -> Iterator[tuple[str, ...]]:
         study = StudySample(sample, tuple(reversed(earlier)))
         attacked = apply(Case("attack", "far_wall", DEFAULT), study, np.random.default_rng((SEED, scene))).sweep
         both = zip(claims(estimator, sample.sweep, earlier), claims(estimator, attacked, earlier), strict=True)
+        cell_m2 = estimator.grid.cell_m**2
         for number, (clean, lied) in enumerate(both):
-            counts[number] += [(each & known).sum() for each in (clean & truth, clean & ~truth, ~clean & truth)]
-            opened_m2[number] += (lied & ~clean & ~truth & known).sum() * estimator.grid.cell_m**2
-    for method, (hit, false, missed), area_m2 in zip(METHODS, counts, opened_m2, strict=True):
-        rates = (hit / (hit + false), hit / (hit + missed), 2 * hit / (2 * hit + false + missed))
-        yield name, method, *map(format_rate, rates), f"{area_m2 / scenes:.0f}"
+            counts[number].append(ConfusionCounts.of(clean, truth, known, cell_m2))
+            opened_m2[number] += (lied & ~clean & ~truth & known).sum() * cell_m2
+    for method, of_scenes, area_m2 in zip(METHODS, counts, opened_m2, strict=True):
+        whole = reduce(add, of_scenes)
+        rates = map(format_rate, (whole.precision, whole.recall, whole.f1))
+        yield name, method, *rates, f"{area_m2 / scenes:.0f}"
 
 
 def main(words: Sequence[str] | None = None) -> None:

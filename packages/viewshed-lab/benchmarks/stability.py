@@ -18,6 +18,7 @@ from viewshed.estimators.shadow_map import ShadowMap
 from viewshed.fov.estimate import FovEstimate
 from viewshed.grid import GRIDS
 from viewshed.io import read_index, read_indexed, read_sweeps
+from viewshed.metrics import ConfusionCounts
 from viewshed.sweep import Sweep
 from viewshed_lab._page import table
 from viewshed_lab.studies.formatting import format_rate
@@ -46,8 +47,8 @@ CHANGES: dict[str, Callable[[Sweep, np.random.Generator], Sweep]] = {
 
 def iou(one: FovEstimate, other: FovEstimate) -> float:
     """Return the cells visible in both of those visible in either; NaN where none is."""
-    both, either = one.visible() & other.visible(), one.visible() | other.visible()
-    return float(both.sum() / either.sum()) if either.any() else float("nan")
+    everywhere = np.ones(one.grid.shape, np.bool_)
+    return ConfusionCounts.of(one.visible(), other.visible(), everywhere, one.grid.cell_m**2).iou
 
 
 def row(name: str, ious: Iterable[float], more: str = "") -> tuple[str, ...]:

@@ -57,10 +57,10 @@ def test_a_signal_raises_nothing_where_python_just_is() -> None:
     program = """
 import os, signal, time
 import rclpy
-from viewshed_ros.spinning import begin
-begin([])
-os.kill(os.getpid(), signal.SIGINT)
-while rclpy.ok():
-    time.sleep(.01)
+from viewshed_ros.spinning import until_a_signal
+with until_a_signal([]):
+    os.kill(os.getpid(), signal.SIGINT)
+    while rclpy.ok():
+        time.sleep(.01)
 """
     subprocess.run([sys.executable, "-c", program], check=True, env=os.environ, timeout=20)

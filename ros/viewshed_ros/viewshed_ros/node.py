@@ -14,7 +14,6 @@ from nav_msgs.msg import OccupancyGrid
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock, ClockType
 from rclpy.event_handler import PublisherEventCallbacks
-from rclpy.executors import ExternalShutdownException
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy, qos_profile_sensor_data
@@ -34,7 +33,7 @@ from viewshed_ros.object_layers import OBJECT_LAYERS, ObjectsView
 from viewshed_ros.outlets import FrameVote, Outlet, Sensor
 from viewshed_ros.packets import Revolution, Revolutions
 from viewshed_ros.parameters import OF_PROFILE, NodeSettings, SensorSettings
-from viewshed_ros.spinning import begin
+from viewshed_ros.spinning import until_a_signal
 from viewshed_ros.stops import CHECK_S, LATCHED, MASK_STOPS, Stale, stale_alarm
 
 NO_EVENTS = PublisherEventCallbacks(use_default_callbacks=False)
@@ -548,25 +547,16 @@ class FieldOfView(LifecycleNode):
 def main(arguments: list[str] | None = None) -> None:
     """Run the node until a signal ends it; one that comes while it starts ends it as well."""
     prepare_process()
-    begin(arguments)
-    node = None
-    try:
+    with until_a_signal(arguments):
         node = FieldOfView()
-        is_wanted = node.get_parameter("autostart").value
-        if is_wanted and node.trigger_configure() == TransitionCallbackReturn.SUCCESS:
-            node.trigger_activate()
-        rclpy.spin(node)
-    except ExternalShutdownException:
-        pass
-    except Exception:
-        # A signal shuts the context down at once; whatever is made after that fails, each thing in its own words.
-        if rclpy.ok():
-            raise
-    finally:
-        if node is not None:
+        try:
+            is_wanted = node.get_parameter("autostart").value
+            if is_wanted and node.trigger_configure() == TransitionCallbackReturn.SUCCESS:
+                node.trigger_activate()
+            rclpy.spin(node)
+        finally:
             node._release()
             node.destroy_node()
-        rclpy.try_shutdown()
 
 
 if __name__ == "__main__":

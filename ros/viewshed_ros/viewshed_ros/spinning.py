@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import signal
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 import rclpy
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 
 
-def begin(arguments: list[str] | None = None) -> None:
-    """Initialize rclpy so that SIGINT, like SIGTERM, shuts its context down and raises nothing.
+@contextmanager
+def until_a_signal(arguments: list[str] | None = None) -> Iterator[None]:
+    """Initialize rclpy, and end what is done with it at SIGINT or SIGTERM, also where that comes while a node starts.
 
-    Python would raise `KeyboardInterrupt` wherever the main thread is: in a half-made object, or in the handling of
-    what fails because the context is down.
+    SIGINT, like SIGTERM, shuts the context down and raises nothing: Python would raise `KeyboardInterrupt` wherever the
+    main thread is, in a half-made object, or in the handling of what fails because the context is down.
     """
     ending = {signal.SIGINT, signal.SIGTERM}
     # A signal that comes before rclpy has its handlers waits for them.
@@ -23,13 +25,8 @@ def begin(arguments: list[str] | None = None) -> None:
     signal.signal(signal.SIGINT, lambda number, frame: None)  # rclpy calls the handler that it finds, then shuts down
     rclpy.init(args=arguments or sys.argv)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, ending)
-
-
-def spin(make: Callable[[], Node], arguments: list[str] | None = None) -> None:
-    """Make a node and run it until a signal ends it; one that comes while it starts ends it as well."""
-    begin(arguments)
     try:
-        rclpy.spin(make())
+        yield
     except ExternalShutdownException:
         pass
     except Exception:
@@ -38,3 +35,9 @@ def spin(make: Callable[[], Node], arguments: list[str] | None = None) -> None:
             raise
     finally:
         rclpy.try_shutdown()
+
+
+def spin(make: Callable[[], Node], arguments: list[str] | None = None) -> None:
+    """Make a node and run it until a signal ends it."""
+    with until_a_signal(arguments):
+        rclpy.spin(make())

@@ -181,12 +181,12 @@ def spoofing(
     watching = stream_monitor(monitor_file)
     called = [one for trace in traces for one in call_trace(trace, watching, numbers)]
     write_page(out, trace_page(called, watching.limit, watching.per_hour))
-    told = [
+    counts = [
         f"{sum(one.inconsistent for one in some)} of {len(some)} {what}"
         for is_spoofed, what in ((True, "spoofed sweeps"), (False, "honest sweeps"), (None, "sweeps without a --key"))
         if (some := [one for one in called if one.is_spoofed is is_spoofed])
     ]
-    typer.echo(f"called: {', '.join(told)}; look at {out}")
+    typer.echo(f"called: {', '.join(counts)}; look at {out}")
 
 
 @study_app.command()
