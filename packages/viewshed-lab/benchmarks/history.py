@@ -1,17 +1,21 @@
 """Print what earlier sweeps cost and gain: ``python -m benchmarks.history [--scenes N]``.
 
 Drives of the presets are simulated with exact truth. In each scene the last sweep of one agent is estimated by itself,
-with five sweeps before it, a second apart, and where one of these confirms the claim. Once nobody attacks; once returns
-before an obstacle are moved far behind it (``far_wall``): how much area does that open that is not visible?
+with five sweeps before it, a second apart, and where one of these confirms the claim. Once nobody attacks; once all
+returns of a wedge that lie before an obstacle are moved far behind it (``far_wall``): how much area does that open that
+is not visible? Once 150 returns are: which share of the claims in the wedge is visible? Of real drives with poses, of
+the folder in VIEWSHED_REAL_DATA: which share of the area of one sweep do the other methods still claim?
 """
 
 from __future__ import annotations
 
 import argparse
+import os
 import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import reduce
+from itertools import islice
 from operator import add
 from pathlib import Path
 
@@ -21,6 +25,8 @@ from numpy.typing import NDArray
 from viewshed.estimators.shadow_map import ShadowMap
 from viewshed.estimators.temporal import where_confirmed
 from viewshed.fov.visibility import CAR
+from viewshed.geometry import polar
+from viewshed.grid import GRIDS
 from viewshed.metrics import ConfusionCounts
 from viewshed.preprocess.history import history_of
 from viewshed.preprocess.leveling import level
@@ -31,6 +37,7 @@ from viewshed_lab.data import Storage
 from viewshed_lab.data.presets import preset_named
 from viewshed_lab.data.simulated import simulate
 from viewshed_lab.studies.cases import DEFAULT, apply
+from viewshed_lab.studies.crossview.page import posed_scenes
 from viewshed_lab.studies.formatting import format_rate
 from viewshed_lab.studies.records import Case
 from viewshed_lab.studies.samples import StudySample
@@ -39,6 +46,12 @@ PRESETS = ("carla", "nuscenes", "ugv")
 SEED = 20_261_129
 TIMES, INTERVAL_S, EVERY = 11, 0.5, 2
 """Sweeps of each agent, seconds between them, and how many further back each earlier one lies."""
+
+FEW = "150"
+"""Returns of the small attack."""
+
+PAST = 3
+"""Sweeps of a real drive after which the others are counted."""
 
 METHODS = ("one sweep", "--history 5", "--history 5 --require-confirmation")
 
@@ -63,23 +76,44 @@ def rows_of(name: str, scenes: int, folder: Path) -> Iterator[tuple[str, ...]]:
     )
     archive = simulate(drives, Storage.of(folder / name), LocalEngine(1))
     counts: list[list[ConfusionCounts]] = [[] for _ in METHODS]
-    opened_m2 = np.zeros(len(METHODS))
+    opened_m2, in_wedge = np.zeros(len(METHODS)), np.zeros((len(METHODS), 2))
     for scene in range(scenes):
         frames = [(scene * TIMES + time) * agents + scene % agents for time in range(TIMES)]
         sample, earlier = archive[frames[-1]], [archive[frame].sweep for frame in frames[:-1:EVERY]]
         estimator = ShadowMap(sample.truth.grid, CAR)
         truth, known = sample.truth.visible(CAR.name), sample.known
         study = StudySample(sample, tuple(reversed(earlier)))
-        attacked = apply(Case("attack", "far_wall", DEFAULT), study, np.random.default_rng((SEED, scene))).sweep
-        both = zip(claims(estimator, sample.sweep, earlier), claims(estimator, attacked, earlier), strict=True)
+        attacked, few = (
+            apply(Case("attack", "far_wall", level), study, np.random.default_rng((SEED, scene)))
+            for level in (DEFAULT, FEW)
+        )
+        assert few.wedge is not None
+        wedge = known & few.wedge.holds(polar(estimator.grid.centers)[1])
         cell_m2 = estimator.grid.cell_m**2
-        for number, (clean, lied) in enumerate(both):
+        each = (claims(estimator, sweep, earlier) for sweep in (sample.sweep, attacked.sweep, few.sweep))
+        for number, (clean, lied, lied_few) in enumerate(zip(*each, strict=True)):
             counts[number].append(ConfusionCounts.of(clean, truth, known, cell_m2))
             opened_m2[number] += (lied & ~clean & ~truth & known).sum() * cell_m2
-    for method, of_scenes, area_m2 in zip(METHODS, counts, opened_m2, strict=True):
+            in_wedge[number] += (lied_few & truth & wedge).sum(), (lied_few & wedge).sum()
+    for method, of_scenes, area_m2, (true, claimed) in zip(METHODS, counts, opened_m2, in_wedge, strict=True):
         whole = reduce(add, of_scenes)
         rates = map(format_rate, (whole.precision, whole.recall, whole.f1))
-        yield name, method, *rates, f"{area_m2 / scenes:.0f}"
+        yield name, method, *rates, f"{area_m2 / scenes:.0f}", format_rate(true / max(claimed, 1.0))
+
+
+def kept_of(data: Path) -> Iterator[tuple[str, ...]]:
+    """Yield for each real drive the share of one sweep's area that the other methods claim, once they have a past."""
+    estimator = ShadowMap(GRIDS["road"], CAR)
+    for sensor, scenes in posed_scenes(data / "index.json").items():
+        for sweeps in (scene for scene in scenes if len(scene) > 2 * PAST):
+            areas_m2 = [
+                sum(found.area_m2() for found in islice(stream, PAST, None))
+                for stream in (
+                    estimator.stream(sweeps), estimator.stream(sweeps, 5),
+                    estimator.stream(sweeps, 5, require_confirmation=True),
+                )
+            ]  # fmt: skip
+            yield f"{sensor}, {len(sweeps)} sweeps", *(format_rate(area_m2 / areas_m2[0]) for area_m2 in areas_m2[1:])
 
 
 def main(words: Sequence[str] | None = None) -> None:
@@ -89,8 +123,12 @@ def main(words: Sequence[str] | None = None) -> None:
     given = parser.parse_args(words)
     with tempfile.TemporaryDirectory() as folder:
         rows = [row for name in PRESETS for row in rows_of(name, given.scenes, Path(folder))]
-    header = ("preset", "method", "precision", "recall", "F1", "falsely opened by far_wall, m²")
-    print(page("Earlier sweeps", facts(seed=str(SEED), scenes=f"{given.scenes} of each preset"), table(header, rows)))
+    few = f"precision in a wedge of {FEW} returns"
+    header = ("preset", "method", "precision", "recall", "F1", "falsely opened by far_wall, m²", few)
+    tables = [table(header, rows)]
+    if data := os.environ.get("VIEWSHED_REAL_DATA"):
+        tables.append(table(("real drive", *(f"area, {method}" for method in METHODS[1:])), list(kept_of(Path(data)))))
+    print(page("Earlier sweeps", facts(seed=str(SEED), scenes=f"{given.scenes} of each preset"), *tables))
 
 
 if __name__ == "__main__":

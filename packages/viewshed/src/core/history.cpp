@@ -12,7 +12,7 @@ namespace viewshed {
 namespace {
 
 // Obstacle pixels of similar depth at most GAP_ROWS or GAP_COLUMNS (8° or 2°) apart belong to one obstacle.
-constexpr int GAP_ROWS = 20, GAP_COLUMNS = 4;
+constexpr int GAP_ROWS = 40, GAP_COLUMNS = 8;
 constexpr float SIMILAR = 1.25f;
 
 // Such a gap is closed where something farther was seen in it if it is narrower than this: seen from elsewhere.
@@ -29,7 +29,7 @@ constexpr std::int32_t NOBODY = 0, SEVERAL = -1;
 constexpr float NEAREST_M = 1.0f;
 
 // A line of sight is open if more than this share of a target is in view past what is remembered.
-constexpr float LEAST_VIEW = 0.15f;
+constexpr float LEAST_VIEW = 0.05f;
 
 // As the header has them.
 constexpr std::size_t ROWS = SLOPE_ROWS, COLUMNS = AZIMUTHS;
@@ -134,6 +134,20 @@ void close_gaps(View2<float> image) {
     }
 }
 
+// Take the pixels at the left, right and upper edges of obstacles out of the image: a beam that shares one with an edge may
+// pass beside it. What is narrower than three pixels goes altogether.
+void leave_out_edges(View2<float> image) {
+    std::vector<float> above(COLUMNS, NONE), row(COLUMNS);
+    for (std::size_t r = ROWS; r-- > 0;) {  // from the top, so that the row above is still known
+        std::copy_n(image[r], COLUMNS, row.data());
+        for (std::size_t c = 0; c < COLUMNS; ++c) {
+            const float farthest = std::max({row[(c + COLUMNS - 1) % COLUMNS], row[(c + 1) % COLUMNS], above[c]});
+            if (farthest > row[c] * SIMILAR) image[r][c] = NONE;
+        }
+        above.swap(row);
+    }
+}
+
 }  // namespace
 
 void draw_image(const std::vector<std::vector<Point>>& sweeps, float sensor_height_m, View2<float> image) {
@@ -146,7 +160,9 @@ void draw_image(const std::vector<std::vector<Point>>& sweeps, float sensor_heig
         const std::int32_t own = sweeps.size() > 1 ? std::int32_t(k) + 1 : NOBODY;
         draw_obstacles(sweeps[k], sensor_height_m, seen_by, own, image);
     }
+    // 3. Solid between its returns, and not beyond them.
     close_gaps(image);
+    leave_out_edges(image);
 }
 
 MULTIVERSION void end_at_obstacles(const float* image, const float* azimuth, const float* slope, const float* depth_m,

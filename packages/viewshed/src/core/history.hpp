@@ -7,12 +7,12 @@
 
 namespace viewshed {
 
-// Rows by rise over range from the least to the greatest at which obstacles are remembered, 0.4° each; azimuth columns.
-constexpr std::size_t SLOPE_ROWS = 160, AZIMUTHS = 720;
+// Rows by rise over range from the least to the greatest at which obstacles are remembered, 0.2° each; azimuth columns of .25°.
+constexpr std::size_t SLOPE_ROWS = 320, AZIMUTHS = 1440;
 constexpr double LEAST_SLOPE = -0.75, MOST_SLOPE = 0.35;
 
-// Lines of sight are looked along in every second row and column.
-constexpr std::size_t SIGHT_STEP = 2;
+// Lines of sight are looked along in every fourth row and column.
+constexpr std::size_t SIGHT_STEP = 4;
 constexpr std::size_t SIGHT_LINES = SLOPE_ROWS / SIGHT_STEP * (AZIMUTHS / SIGHT_STEP);
 
 struct Point {
@@ -24,7 +24,7 @@ std::vector<Point> obstacle_points(View2<const float> points, View1<const float>
                                    float least_m);
 
 // The horizontal range of the nearest obstacle by slope and azimuth, +inf where there is none: what two sweeps saw in one
-// place of the map, or what the only sweep saw.
+// place of the map, or what the only sweep saw. The edges of obstacles are left out.
 void draw_image(const std::vector<std::vector<Point>>& sweeps, float sensor_height_m, View2<float> image);
 
 // Write the depth of each beam, no deeper than the obstacle in its direction.

@@ -57,7 +57,7 @@ void bind_history(nb::module_& m) {
             sight_lines(azimuth, slope);
             return tuple_of(array(std::move(azimuth)), array(std::move(slope)));
         },
-        "Azimuth and slope (L,) of lines of sight in every other row and column of the image of obstacles.");
+        "Azimuth and slope (L,) of lines of sight in every fourth row and column of the image of obstacles.");
     m.def(
         "confirmed_cells",
         [](In2<bool> seen, In2<float> earlier_from_now, double origin_x_m, double origin_y_m, double cell_m,

@@ -35,6 +35,7 @@ class History:
     now: LeveledSweep
     earlier: tuple[LeveledSweep, ...]  # the sweeps, any number of them, each with what those before it hold
     now_from_earlier: tuple[Rigid, ...]  # pose of the ``level`` frame of each in that of the sweep now
+    _obstacles: list[F32] = field(default_factory=list, repr=False)
     _confirmations: dict[tuple[BevGrid, Target], NDArray[np.int32]] = field(default_factory=dict, repr=False)
 
     @classmethod
@@ -60,9 +61,12 @@ class History:
         """Return the horizontal range of the nearest obstacle by slope and azimuth (rows, columns); +inf for none.
 
         An obstacle is what at least two earlier sweeps saw in one place of the map (or the only sweep): what moved was
-        seen there once.
+        seen there once. Its edges are left out: a beam may pass beside them. Computed once; read-only.
         """
-        return self._obstacles_of(range(len(self.earlier)))
+        if not self._obstacles:
+            self._obstacles.append(self._obstacles_of(range(len(self.earlier))))
+            self._obstacles[0].setflags(write=False)
+        return self._obstacles[0]
 
     def _obstacles_of(self, numbers: Sequence[int]) -> F32:
         """Return the image (rows, columns) of the obstacles that some of the earlier sweeps saw."""
@@ -119,6 +123,6 @@ def _ended(beams: Beams, image: F32) -> Beams:
 
 @lru_cache(maxsize=1)
 def _sight_lines() -> Beams:
-    """Return lines of sight in every other row and column of the image of obstacles."""
+    """Return lines of sight in every fourth row and column of the image of obstacles."""
     azimuth, slope = _core.sight_lines()
     return Beams(azimuth, slope, np.full(len(slope), np.inf, np.float32))
