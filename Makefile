@@ -4,8 +4,8 @@ VENV ?= .venv
 OUT ?= demo
 JOBS ?= 2
 BIN := $(VENV)/bin
-# pip says what it does: the first install takes a minute or more.
-PIP := $(BIN)/python -m pip install --disable-pip-version-check
+# pip says what it does: the first install takes a minute or more. What is imported is compiled then: all of it is half a gigabyte.
+PIP := $(BIN)/python -m pip install --disable-pip-version-check --no-compile
 BENCHMARKS := PYTHONPATH=packages/viewshed:packages/viewshed-lab $(BIN)/python -m benchmarks
 # One thread for each process. Bytecode of the tests is kept: without it each process rewrites all their files. Workers
 # take neighbors in a file, so that most fixtures are made once.

@@ -265,6 +265,7 @@ TINY_PAGES = {
     "wild": "wild/wild.md",
     "agents": "agents/agents.md",
     "tracks": "tracks/tracks.md",
+    "alarms": "alarms/monitor.md",
     "truth": "truth.md",
     "crossview": "crossview.md",
 }
@@ -280,6 +281,7 @@ def tiny_pages(folder: Path) -> dict[str, str]:
     run("study", "wild", "--preset", "tiny", "--out", "wild")
     run("study", "agents", "--preset", "tiny", "--out", "agents")
     run("study", "tracks", "--preset", "tiny", "--out", "tracks")
+    run("study", "monitor", "--preset", "tiny", "--out", "alarms")
     run("simulate", "nuscenes-small", "--sweeps", "24", "--out", "sweeps")
     run("evaluate", "truth", "sweeps", "--limit", "6", "--out", "truth.md")
     _write_index(folder / "posed")

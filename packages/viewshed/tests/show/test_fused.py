@@ -13,12 +13,14 @@ from viewshed.agents.rounds import Round, Rounds
 from viewshed.show.fused import (
     CONTRADICTION_NATS,
     DISTRUSTED,
+    STRIP_SIDE,
     TRUSTED,
     agent_color,
     claimed_free,
     contradictions,
     fused_page,
     fused_picture,
+    fused_strip,
 )
 
 GHOST = np.array([[6.0, -6.0, 0.8, 4.2, 1.8, 1.5, 0.0], [14.0, -12.0, 0.8, 4.2, 1.8, 1.5, 0.0]])
@@ -54,6 +56,19 @@ def test_a_picture_shows_who_is_believed_and_who_is_not() -> None:
     assert none == 0
     assert trusted > 200
     assert distrusted > 100  # its disc, its objects, and two lines
+
+
+def test_a_strip_shows_how_trust_went() -> None:
+    """Three agents are trusted at first; at the end one is not, below its map as in it."""
+    first, *_, last = rounds(lies=True)
+    honest, *_ = rounds(lies=False)
+    strip = np.asarray(Image.open(io.BytesIO(fused_strip([honest, last]))).convert("RGB"))
+    half = strip.shape[1] // 2
+    below = strip[STRIP_SIDE + 50 :]
+    squares = (below == np.array(TRUSTED)).all(axis=-1)
+    assert (squares[:, :half].sum() / 144, squares[:, half:].sum() / 144) == (3, 2)
+    one = np.asarray(Image.open(io.BytesIO(fused_strip([first]))))
+    assert one.shape[1] == half + 10
 
 
 def test_surfaces_that_another_agent_claims_free_are_where_they_stand() -> None:

@@ -111,7 +111,7 @@ def paper(
 @study_app.command()
 def monitor(
     out: Out = None,
-    preset: Annotated[str, typer.Option(help="Which streams: shipped.")] = "shipped",
+    preset: Annotated[str, typer.Option(help="Which streams: shipped or tiny.")] = "shipped",
     workers: Workers = None,
     run: Run = True,
     page: Pages = None,

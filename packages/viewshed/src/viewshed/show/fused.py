@@ -24,8 +24,8 @@ from viewshed.objects.matching import corners_of
 from viewshed.show._canvas import BLACK, WHITE, Canvas, Color
 from viewshed.show.plot import Panel, map_picture
 
-SIDE, MARGIN, COLUMN = 720, 20, 380
-"""Pixels of the map, around it, and of the words beside it."""
+SIDE, STRIP_SIDE, MARGIN, COLUMN = 720, 520, 20, 380
+"""Pixels of the map, of each map of a strip, around it, and of the words beside it."""
 
 TRUSTED, DOUBTED, DISTRUSTED, QUIET = (20, 140, 40), (235, 150, 0), (214, 39, 40), (120, 120, 130)
 """Colors of agents and objects: believed, in between, not believed; and of what only its neighbors speak of."""
@@ -90,28 +90,23 @@ def contradictions(done: Round) -> list[tuple[int, int, str]]:
     return found
 
 
-def fused_picture(done: Round) -> bytes:
-    """Return a PNG of a round: the joint view, agents by trust, objects by belief, and lines between who contradict.
-
-    Of up to ``MOST_OUTLINED`` agents also the outlines of their views, and red dots where one claims a surface of
-    another free.
-    """
+def _map_of(done: Round, side: int) -> Canvas:
+    """Return the map of a round, so many pixels a side: the joint view, agents, objects, and who contradicts whom."""
     picture, joint = done.picture, done.joint
     panel = Panel(replace(joint.estimate(done.t_ns), agent=""), "")
-    area = map_picture(panel, SIDE)
+    area = map_picture(panel, side)
     half_m, middle = joint.grid.half_extent_m, joint.world_from_grid.translation[:2]
 
     def pixels(xy_m: NDArray[np.float64]) -> list[tuple[float, float]]:
         """Return columns and rows: x of the world points up, y to the left."""
-        away = (half_m - (np.atleast_2d(xy_m) - middle)) * SIDE / (2 * half_m)
+        away = (half_m - (np.atleast_2d(xy_m) - middle)) * side / (2 * half_m)
         return [(float(y), float(x)) for x, y in away]
 
     places = {report.agent: report.world_from_level.translation[:2] for report in done.reports}
     trust = dict(zip(picture.agents, picture.verdicts.trust.tolist(), strict=True))
-    pairs = contradictions(done)
-    own_colors = {name: agent_color(number, len(trust)) for number, name in enumerate(sorted(trust))}
+    own_colors = _own_colors(done)
     # 1. The outline of each view.
-    if is_outlined := len(done.reports) <= MOST_OUTLINED:
+    if _is_outlined(done):
         for report in done.reports:
             pose = report.world_from_level
             for piece in report.estimate.polygon().geoms:
@@ -120,12 +115,12 @@ def fused_picture(done: Round) -> bytes:
                     area.line(pixels(ring), own_colors[report.agent], 2)
     # 2. Surfaces of one agent that another one claims free, where their views contradict each other.
     numbers = {report.agent: picture.agents.index(report.agent) for report in done.reports}
-    for claims, other in permutations(done.reports, 2) if is_outlined else ():
+    for claims, other in permutations(done.reports, 2) if _is_outlined(done) else ():
         if picture.verdicts.against[numbers[claims.agent], numbers[other.agent]] >= CONTRADICTION_NATS:
             for x, y in pixels(claimed_free(claims, other)):
                 area.rectangle((x - 1.5, y - 1.5, x + 1.5, y + 1.5), DISTRUSTED)
     # 3. Who contradicts whom.
-    for one, partner, _ in pairs:
+    for one, partner, _ in contradictions(done):
         ends = [places.get(picture.agents[each]) for each in (one, partner)]
         if ends[0] is not None and ends[1] is not None:
             area.polygon(pixels(np.stack([ends[0], ends[1]])), DISTRUSTED, grow=1.2)
@@ -144,20 +139,59 @@ def fused_picture(done: Round) -> bytes:
         area.polygon(disc, WHITE, grow=2.0)
         area.polygon(disc, color_of(trust[agent]))
         area.text((column + 11, row + 4), agent, 8, bold=True)
+    return area
 
+
+def _is_outlined(done: Round) -> bool:
+    return len(done.reports) <= MOST_OUTLINED
+
+
+def _own_colors(done: Round) -> dict[str, Color]:
+    agents = sorted(done.picture.agents)
+    return {name: agent_color(number, len(agents)) for number, name in enumerate(agents)}
+
+
+def fused_strip(rounds: Sequence[Round]) -> bytes:
+    """Return a PNG of several rounds side by side: the map of each, and below it the trust in each agent."""
+    rows = max(len(done.picture.agents) for done in rounds)
+    page = Canvas.blank(len(rounds) * (STRIP_SIDE + MARGIN) + MARGIN, STRIP_SIDE + 2 * MARGIN + 30 + (rows + 1) * _LINE)
+    for number, done in enumerate(rounds):
+        left, top = MARGIN + number * (STRIP_SIDE + MARGIN), MARGIN + 12
+        page.text((left, top), f"{done.picture.t_s:.2f} s", 11, bold=True)
+        page.paste(_map_of(done, STRIP_SIDE), left, MARGIN + 30)
+        top += STRIP_SIDE + 30 + _LINE
+        _write_agents(page, done, left, top)
+    return page.png()
+
+
+def _write_agents(page: Canvas, done: Round, left: float, top: float) -> float:
+    """Write agents with the trust in each from a place on, and return the row below them."""
+    own_colors, heard = _own_colors(done), {report.agent for report in done.reports}
+    for at, agent in enumerate(done.picture.agents):
+        trust, word = float(done.picture.verdicts.trust[at]), "accused" if done.accused[at] else ""
+        word = word or ("disputed" if done.disputed[at] else "")
+        page.rectangle((left, top - 11, left + 12, top + 1), color_of(trust))
+        silent = "" if agent in heard else " (silent)"
+        if _is_outlined(done):
+            page.rectangle((left + 14, top - 11, left + 18, top + 1), own_colors[agent])
+        page.text((left + 24, top), f"{agent}{silent}: trust {trust:.2f} {word}", 9, bold=bool(word))
+        top += _LINE
+    return top
+
+
+def fused_picture(done: Round) -> bytes:
+    """Return a PNG of a round: the joint view, agents by trust, objects by belief, and lines between who contradict.
+
+    Of up to ``MOST_OUTLINED`` agents also the outlines of their views, and red dots where one claims a surface of
+    another free.
+    """
+    picture, pairs = done.picture, contradictions(done)
     page = Canvas.blank(SIDE + COLUMN + 2 * MARGIN, SIDE + 2 * MARGIN + 30)
     page.text((MARGIN, MARGIN + 12), f"{len(done.reports)} agents, {picture.t_s:.2f} s", 11, bold=True)
-    page.paste(area, MARGIN, MARGIN + 30)
+    page.paste(_map_of(done, SIDE), MARGIN, MARGIN + 30)
     left, top = SIDE + 2 * MARGIN, MARGIN + 44
     # 6. Words: agents with trust, what is believed, who contradicts whom.
-    for at, agent in enumerate(picture.agents):
-        word = "accused" if done.accused[at] else "disputed" if done.disputed[at] else ""
-        page.rectangle((left, top - 11, left + 12, top + 1), color_of(trust[agent]))
-        silent = "" if agent in places else " (silent)"
-        if is_outlined:
-            page.rectangle((left + 14, top - 11, left + 18, top + 1), own_colors[agent])
-        page.text((left + 24, top), f"{agent}{silent}: trust {trust[agent]:.2f} {word}", 9, bold=bool(word))
-        top += _LINE
+    top = _write_agents(page, done, left, top)
     shown = picture.reported | picture.believed
     top += _LINE // 2
     page.text((left, top), f"{int(picture.believed.sum())} of {int(shown.sum())} objects believed", 9)
@@ -170,7 +204,7 @@ def fused_picture(done: Round) -> bytes:
             page.text((left, top), line, 8, bold=bold)
     top = SIDE + MARGIN - 4 * _LINE
     legend = (("believed", TRUSTED), ("in doubt", DOUBTED), ("not believed; contradiction", DISTRUSTED))
-    if is_outlined:
+    if _is_outlined(done):
         page.text((left, top + 3 * _LINE), "lines: edges of what each agent sees", 8)
         page.text((left, top + 4 * _LINE), "red dots: surfaces that another agent claims free", 8)
     for line_number, (word, color) in enumerate(legend):

@@ -19,7 +19,7 @@ from viewshed.agents.rounds import FALSE_RATE, Round
 from viewshed.agents.trust import QUESTIONS, TrustLimits
 from viewshed.arrays import F64, Mask
 from viewshed.monitor.roc import auroc
-from viewshed.show.fused import fused_picture
+from viewshed.show.fused import fused_strip
 from viewshed_lab._page import facts
 from viewshed_lab.studies.agents.lies import LIES
 from viewshed_lab.studies.agents.plan import HONEST, HONEST_MODEL, ONSET_S, STATED, UNSTATED, AgentsPlan
@@ -192,20 +192,25 @@ class AgentsResults:
         return Table(header, rows)
 
     def picture(self, folder: Path, case: str) -> Picture:
-        """Return the last time of the first test scene in a case."""
+        """Return the first test scene in a case: before the onset, when somebody is accused first, and its end."""
         honest = HonestModel.from_json((folder / HONEST_MODEL).read_text("utf-8"))
         scene = Scene.load(scene_path(folder, "test", 0))
         liars, said = SceneCases(scene, (self.plan.seed, "test", 0), honest, compared=False).said(case)
-        center = CommandCenter(scene.agents, honest=honest)
+        center, rounds = CommandCenter(scene.agents, honest=honest), list[Round]()
         for t_s, reports in zip(scene.times_s.tolist(), said, strict=True):
             begun_ns = thread_time_ns()
-            last = center.add(t_s, reports)
+            now = center.add(t_s, reports)
             self.round_ms.append((thread_time_ns() - begun_ns) / 1e6)
-        accused = self.limits.accused(last.verdicts.answers, last.elevated, self.rate)
-        done = Round(last, accused, self.limits.disputed(last.verdicts, accused, self.rate))
+            accused = self.limits.accused(now.verdicts.answers, now.elevated, self.rate)
+            rounds.append(Round(now, accused, self.limits.disputed(now.verdicts, accused, self.rate)))
+        onset = int(np.searchsorted(scene.times_s, ONSET_S))
+        middle = (onset + len(rounds)) // 2
+        first = next((number for number, done in enumerate(rounds) if done.accused.any()), middle)
+        shown = [rounds[number] for number in sorted({max(onset - 1, 0), first, len(rounds) - 1})]
         who = ", ".join(scene.agents[number] for number in liars.numbers) if liars else "nobody"
-        alt = f"{self.plan.test_worlds[0]}, {scene.times_s[-1]:.1f} s, {who} lies: agents by trust, objects by belief"
-        return Picture(f"agents_{case}.png", fused_picture(done), alt)
+        times = ", ".join(f"{done.picture.t_s:.2f}" for done in shown)
+        alt = f"{self.plan.test_worlds[0]} at {times} s, {who} lies: agents by trust, objects by belief"
+        return Picture(f"agents_{case}.png", fused_strip(shown), alt)
 
     def delay_s(self, run: Run) -> float:
         """Return the seconds from the onset until a liar is accused; infinite where none ever is."""

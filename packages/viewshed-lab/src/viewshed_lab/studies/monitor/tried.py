@@ -62,7 +62,7 @@ def tried(plan: MonitorPlan) -> dict[str, tuple[int, float, float]]:
     """
     benign, attacked, late = list[float](), defaultdict[str, list[float]](list), defaultdict[str, list[bool]](list)
     development = replace(plan, seed=plan.seed + DEVELOPMENT)
-    for style in STYLES:
+    for style in (name for name in STYLES if name in plan.report):
         stream = Stream(development, "report", style, 0)
         sweeps = [stream.sweep(number) for number in range(SWEEPS)]
         found = [mixed_pixels(level(sweep, stream.grid)) for sweep in sweeps]
