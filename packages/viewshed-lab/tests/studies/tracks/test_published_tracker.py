@@ -12,10 +12,11 @@ from tests.objects.scripted import ScriptedView, cars
 from viewshed.arrays import F64
 from viewshed.detections import Detections
 from viewshed.geometry import Rigid
+from viewshed.objects.metrics import ospa_m
 from viewshed.objects.tracker import ExistenceRules, Rules, Tracker
 from viewshed.objects.tracks import Tracks
 from viewshed.objects.views import PolygonView, SeesAll
-from viewshed_lab.studies.tracks.published import PUBLISHED_MOTION, PublishedRules
+from viewshed_lab.studies.tracks.published import PUBLISHED_MOTION, PublishedRules, published_ospa
 
 LEFT = Polygon([(-50, 0), (50, 0), (50, 50), (-50, 50)])
 """Covers what lies on the left of the x axis: y > 0."""
@@ -150,3 +151,14 @@ def test_where_a_view_says_yes_or_no_existence_counts_misses_as_the_published_ru
     # After a track ended, both begin another at the next detection, of which the existence filter is not yet sure.
     ended = next((k for k, (a, b) in enumerate(pairwise(published)) if len(b) < len(a)), len(published))
     assert existence[: ended + 2] == published[: ended + 2]
+
+
+@pytest.mark.parametrize(
+    ("false", "published", "ospa"), [(0, 0.18, 0.18), (1, 1.26, 0.26), (2, 2.32, 0.32), (5, 5.45, 0.45)]
+)
+def test_what_the_published_evaluation_calls_ospa_is_not(false: int, published: float, ospa: float) -> None:
+    truths = np.stack([10.0 * np.arange(10), np.zeros(10), np.zeros(10)], axis=1)
+    ghosts = np.stack([10.0 * np.arange(false), np.full(false, 50.0), np.zeros(false)], axis=1)
+    tracks = np.concatenate([truths + np.array([0.0, 0.18, 0.0]), ghosts])
+    assert published_ospa(tracks, truths) == pytest.approx(published, abs=0.01)
+    assert ospa_m(tracks, truths) == pytest.approx(ospa, abs=0.01)
