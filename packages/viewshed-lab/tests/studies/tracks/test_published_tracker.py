@@ -59,9 +59,12 @@ def test_a_polygon_that_covers_no_track_makes_all_of_them_observable() -> None:
         assert (-20.0 in tracks.states[:, 1].round().tolist()) == is_kept
 
 
-@pytest.mark.parametrize("coast_s", [0.5, 3.0])
-def test_hidden_or_not_a_track_coasts_no_longer_than_this(coast_s: float) -> None:
-    tracker = Tracker(PublishedRules(coast_s=coast_s, repairs_empty_view=True))
+@pytest.mark.parametrize(
+    ("rules", "coast_s"),
+    [(PublishedRules(repairs_empty_view=True), 3.0), (PublishedRules(coast_s=2.0, repairs_empty_view=True), 2.0)],
+)
+def test_hidden_or_not_a_track_coasts_for_three_seconds_or_as_in_its_node_two(rules: Rules, coast_s: float) -> None:
+    tracker = Tracker(rules)
     k = _seen_from(tracker, 5, (10.0, -20.0))
     while len(tracker.step(0.1 * k, Detections.none(), PolygonView(LEFT, Rigid.identity(), 0.1 * k))):
         k += 1
@@ -74,6 +77,21 @@ def test_overlap_or_distance_decides() -> None:
         tracker = Tracker(rules)
         tracker.step(0.0, cars((10.0, 0.0)), SeesAll(0.0))
         assert tracker.step(0.1, cars((13.9, 0.0)), SeesAll(0.1)).ids.tolist() == ids
+
+
+def test_a_detection_that_overlaps_by_less_than_a_tenth_is_of_no_track() -> None:
+    """Cars of 4.2 m, s apart: the overlap is (4.2 - s) / (4.2 + s), a tenth for 3.436 m."""
+    for apart_m, ids in ((3.40, [0]), (3.47, [0, 1])):
+        tracker = Tracker(PublishedRules())
+        tracker.step(0.0, cars((10.0, 0.0)), SeesAll(0.0))
+        assert tracker.step(0.1, cars((10.0 + apart_m, 0.0)), SeesAll(0.1)).ids.tolist() == ids
+
+
+def test_of_two_tracks_within_a_meter_the_one_with_more_detections_stays() -> None:
+    for apart_m, ids in ((0.9, [0]), (1.1, [0, 1])):
+        tracker = Tracker(PublishedRules())
+        start = _seen_from(tracker, 3, (10.0, 0.0))
+        assert tracker.step(0.1 * start, cars((10.0, 0.0), (10.0, apart_m)), SeesAll(0.1 * start)).ids.tolist() == ids
 
 
 def test_too_fast_a_track_ends() -> None:
@@ -95,6 +113,19 @@ def test_its_filter_is_the_published_one() -> None:
     np.testing.assert_allclose(
         tracks.covariances[0][np.ix_([0, 2], [0, 2])], prior - np.outer(gain, prior[0]), rtol=1e-9
     )
+
+
+def test_detections_have_the_published_noise() -> None:
+    """[1, 1, 1, .25, .25, .25]²: of a standing car a first detection, far less sure, leaves nearly that of the second.
+
+    Without time between both, 1/P = 1/P₀ + 1/R, with P₀ = 25 m² of a center and 4 m² of a length.
+    """
+    tracker = Tracker(PublishedRules())
+    for t_s in (0.0, 1e-9):
+        tracks = tracker.step(t_s, cars((10.0, 0.0)), SeesAll(t_s))
+    found = [*np.diagonal(tracks.covariances[0])[:2], *tracks.box_variances[0, :4]]
+    noise = 1 / (1 / np.array(found) - 1 / np.array([25.0] * 3 + [4.0] * 3))
+    assert noise == pytest.approx(np.array([1.0, 1.0, 1.0, 0.25, 0.25, 0.25]) ** 2, rel=1e-5)
 
 
 # Where the view says yes or no, and the detector finds what can be seen with one probability, existence is a count of
