@@ -89,24 +89,24 @@ SURENESS = 1 - 2 * np.sqrt(19 / 8400)
 
 
 def test_each_case_of_the_table() -> None:
-    """Five tracks: matched, the agent itself, missed in view, out of view, and in view beyond 70 m.
+    """Matched, the agent itself within 1 m, missed at 69.9 m, out of view, in view beyond 70 m, missed at 1.01 m.
 
     The agent has a track of itself as well: that confirms nothing.
     """
-    xy_m = np.array([[20.0, 0.0], [0.3, 0.4], [0.0, 50.0], [-20.0, 0.0], [71.0, 0.0]])
+    xy_m = np.array([[20.0, 0.0], [0.6, 0.78], [0.0, 69.9], [-20.0, 0.0], [70.1, 0.0], [0.0, -1.01]])
     report = MateReport(
-        "car", np.zeros(2), np.array([[21.0, 2.0], [8.0, 8.0], [0.3, 0.4]]), np.array([1, 1, 1, 0, 1], np.bool_)
+        "car", np.zeros(2), np.array([[21.0, 2.0], [8.0, 8.0], [0.6, 0.78]]), np.array([1, 1, 1, 0, 1, 1], np.bool_)
     )
-    frames = np.array([9, 9, 4, 0, 9], np.int32)
+    frames = np.array([9, 9, 4, 0, 9, 9], np.int32)
     said = pseudo_measurements(
-        report, np.array([3.0, 1.0]), xy_m, np.full(5, 9, np.int32), np.tile(TRUSTED, (5, 1)), frames
+        report, np.array([3.0, 1.0]), xy_m, np.full(6, 9, np.int32), np.tile(TRUSTED, (6, 1)), frames
     )
     nan = np.nan
-    third = 1 / 3
-    assert said.agent_value == pytest.approx([0.95, nan, 0.05, nan, nan], nan_ok=True)
-    assert said.agent_confidence == pytest.approx([SURENESS, nan, third * SURENESS, nan, nan], nan_ok=True)
-    assert said.track_value == pytest.approx([1.0, 1.0, 0.0, nan, nan], nan_ok=True)
-    assert said.track_confidence == pytest.approx([0.75, 1.0, third * 0.75, nan, nan], nan_ok=True)
+    sixth = 1 / 6  # a third of the frames, and half for the distance
+    assert said.agent_value == pytest.approx([0.95, nan, 0.05, nan, nan, 0.05], nan_ok=True)
+    assert said.agent_confidence == pytest.approx([SURENESS, nan, sixth * SURENESS, nan, nan, SURENESS], nan_ok=True)
+    assert said.track_value == pytest.approx([1.0, 1.0, 0.0, nan, nan, 0.0], nan_ok=True)
+    assert said.track_confidence == pytest.approx([0.75, 1.0, sixth * 0.75, nan, nan, 0.75], nan_ok=True)
 
 
 def test_confidences_of_agents_are_clipped() -> None:
