@@ -80,6 +80,27 @@ def test_every_export_is_on_its_page() -> None:
     assert [name for name in EXPORTERS if f"| `{name}`" not in page] == []
 
 
+def test_what_the_table_of_the_published_system_names_exists() -> None:
+    table = (DOCS / "agents.md").read_text("utf-8").split("## The published system, row by row\n")[1]
+    rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in re.findall(r"^\| .*\|$", table, re.M)]
+    places = [*(ROOT / "packages").rglob("*.py"), *(ROOT / "ros").rglob("*.py")]
+    tests = set(re.findall(r"^def (test_\w+)", "\n".join(map(_text, places)), re.M))
+    assert len(rows) > 30
+    for what, where, test in rows[1:]:
+        for name in re.findall(r"`([\w.]+\.\w+)`", where):
+            module, _, defined = name.rpartition(".")
+            files = [path for path in places if path.as_posix().endswith(f"/{module.replace('.', '/')}.py")]
+            assert len(files) == 1, f"{what}: no one module {module}"
+            assert re.search(rf"^(?:def |class )?{defined}\b", _text(files[0]), re.M), f"{what}: {name} is not there"
+        named = re.findall(r"`(\w+)`", test)
+        assert set(named) <= tests, f"{what}: {test} is not there"
+        assert named or where.startswith("not here: "), f"{what}: name a test, or say why it is not here"
+
+
+def _text(path: Path) -> str:
+    return path.read_text("utf-8")
+
+
 def test_commands_and_options_of_the_pages_exist() -> None:
     offered = {name: set(re.findall(r"--[a-z0-9-]+", text)) for name, text in _helps().items()}
     for page in [ROOT / "README.md", *DOCS.glob("*.md")]:

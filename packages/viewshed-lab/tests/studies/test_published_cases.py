@@ -10,7 +10,7 @@ from viewshed.fov.estimate import CellState
 from viewshed.fov.truth import Truth
 from viewshed.geometry import Rigid
 from viewshed_lab.studies import published_cases
-from viewshed_lab.studies.published_cases import CASES, _as_view, cases_page, mast_beside_a_car
+from viewshed_lab.studies.published_cases import ATTACKS, CASES, _as_view, cases_page, mast_beside_a_car
 
 
 def test_exact_truth_as_a_view_claims_what_is_seen_and_known() -> None:
@@ -26,6 +26,16 @@ def test_exact_truth_as_a_view_claims_what_is_seen_and_known() -> None:
     assert (made.state[:4] == CellState.UNKNOWN).all()
     assert made.world_from_level is not None
     assert made.world_from_level.yaw == pytest.approx(0.4)
+
+
+def test_agents_are_attacked_as_in_the_four_published_cases() -> None:
+    """Static false positives on one agent, moving ones on two, translation on the infrastructure, on a vehicle."""
+    attacks = [(attack, on) for attack, _, on in ATTACKS.values()]
+    published = [
+        ("fabricate_static", "car"), ("fabricate_markov", "cars"), ("translate_static", "mast"),
+        ("translate_static", "car"),
+    ]  # fmt: skip
+    assert attacks == published
 
 
 @pytest.mark.slow

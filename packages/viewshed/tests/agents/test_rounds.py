@@ -44,6 +44,13 @@ def test_a_round_ends_with_the_last_of_those_that_were_heard() -> None:
     assert rounds.notes == ["c: heard lately and missing at 1.00 s; check clocks and links"]
 
 
+@pytest.mark.parametrize(("apart_s", "sizes"), [(0.099, [2]), (0.101, [1, 1])])
+def test_reports_up_to_a_tenth_of_a_second_apart_are_of_one_round(apart_s: float, sizes: list[int]) -> None:
+    rounds = Rounds()
+    ended = heard(rounds, [(0.0, 0), (apart_s, 1)])
+    assert [len(each.reports) for each in [*ended[0], *ended[1], *rounds.close()]] == sizes
+
+
 def test_named_agents_end_the_first_round_and_others_are_left_out() -> None:
     rounds = Rounds(agents=("a", "b"))
     assert [len(each) for each in heard(rounds, [(0.0, 0), (0.0, 1), (0.5, 2)])] == [0, 1, 0]

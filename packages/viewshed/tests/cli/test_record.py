@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import sys
 import time
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -19,7 +20,7 @@ from tests.cli.commands import run
 from viewshed import open_recording, read_sweep, write_sweep
 from viewshed.cli._outputs import Failures, Named
 from viewshed.cli._profile import at_rate
-from viewshed.cli._record import Awaited, Listener
+from viewshed.cli._record import Awaited, Listener, repeated
 from viewshed.io.samples import junction_path
 from viewshed.pipeline import Answer, ReactionState
 from viewshed.recordings.write.bag_writers import Schema, open_bag_writer
@@ -171,6 +172,13 @@ def test_a_profile_leaves_out_sweeps_beyond_its_rate() -> None:
     named = [Named(sweep.replace(t_ns=t * 1_000_000), f"{t}", Path(f"{t}")) for t in times_ms]
     kept = at_rate(named, 10.0)
     assert [each.name for each in kept] == ["0", "95", "190", "5"]
+
+
+def test_a_recording_begins_again_as_long_as_any_sweep_can_be_read() -> None:
+    sweep = Named(read_sweep(junction_path()), "a", Path("a.bin"))
+    for loop, count in ((True, 3), (False, 2)):
+        laps = iter(([sweep] * 2, [sweep], []))
+        assert len(list(repeated(partial(next, laps), loop=loop))) == count
 
 
 def test_a_simulated_drive_is_the_same_each_time(tmp_path: Path) -> None:

@@ -12,10 +12,11 @@ from tests.objects.scripted import ScriptedView, cars
 from viewshed.arrays import F64
 from viewshed.detections import Detections
 from viewshed.geometry import Rigid
+from viewshed.objects.metrics import ospa_m
 from viewshed.objects.tracker import ExistenceRules, Rules, Tracker
 from viewshed.objects.tracks import Tracks
 from viewshed.objects.views import PolygonView, SeesAll
-from viewshed_lab.studies.tracks.published import PUBLISHED_MOTION, PublishedRules
+from viewshed_lab.studies.tracks.published import PUBLISHED_MOTION, PublishedRules, published_ospa
 
 LEFT = Polygon([(-50, 0), (50, 0), (50, 50), (-50, 50)])
 """Covers what lies on the left of the x axis: y > 0."""
@@ -58,9 +59,12 @@ def test_a_polygon_that_covers_no_track_makes_all_of_them_observable() -> None:
         assert (-20.0 in tracks.states[:, 1].round().tolist()) == is_kept
 
 
-@pytest.mark.parametrize("coast_s", [0.5, 3.0])
-def test_hidden_or_not_a_track_coasts_no_longer_than_this(coast_s: float) -> None:
-    tracker = Tracker(PublishedRules(coast_s=coast_s, repairs_empty_view=True))
+@pytest.mark.parametrize(
+    ("rules", "coast_s"),
+    [(PublishedRules(repairs_empty_view=True), 3.0), (PublishedRules(coast_s=2.0, repairs_empty_view=True), 2.0)],
+)
+def test_hidden_or_not_a_track_coasts_for_three_seconds_or_as_in_its_node_two(rules: Rules, coast_s: float) -> None:
+    tracker = Tracker(rules)
     k = _seen_from(tracker, 5, (10.0, -20.0))
     while len(tracker.step(0.1 * k, Detections.none(), PolygonView(LEFT, Rigid.identity(), 0.1 * k))):
         k += 1
@@ -73,6 +77,21 @@ def test_overlap_or_distance_decides() -> None:
         tracker = Tracker(rules)
         tracker.step(0.0, cars((10.0, 0.0)), SeesAll(0.0))
         assert tracker.step(0.1, cars((13.9, 0.0)), SeesAll(0.1)).ids.tolist() == ids
+
+
+def test_a_detection_that_overlaps_by_less_than_a_tenth_is_of_no_track() -> None:
+    """Cars of 4.2 m, s apart: the overlap is (4.2 - s) / (4.2 + s), a tenth for 3.436 m."""
+    for apart_m, ids in ((3.40, [0]), (3.47, [0, 1])):
+        tracker = Tracker(PublishedRules())
+        tracker.step(0.0, cars((10.0, 0.0)), SeesAll(0.0))
+        assert tracker.step(0.1, cars((10.0 + apart_m, 0.0)), SeesAll(0.1)).ids.tolist() == ids
+
+
+def test_of_two_tracks_within_a_meter_the_one_with_more_detections_stays() -> None:
+    for apart_m, ids in ((0.9, [0]), (1.1, [0, 1])):
+        tracker = Tracker(PublishedRules())
+        start = _seen_from(tracker, 3, (10.0, 0.0))
+        assert tracker.step(0.1 * start, cars((10.0, 0.0), (10.0, apart_m)), SeesAll(0.1 * start)).ids.tolist() == ids
 
 
 def test_too_fast_a_track_ends() -> None:
@@ -94,6 +113,19 @@ def test_its_filter_is_the_published_one() -> None:
     np.testing.assert_allclose(
         tracks.covariances[0][np.ix_([0, 2], [0, 2])], prior - np.outer(gain, prior[0]), rtol=1e-9
     )
+
+
+def test_detections_have_the_published_noise() -> None:
+    """[1, 1, 1, .25, .25, .25]²: of a standing car a first detection, far less sure, leaves nearly that of the second.
+
+    Without time between both, 1/P = 1/P₀ + 1/R, with P₀ = 25 m² of a center and 4 m² of a length.
+    """
+    tracker = Tracker(PublishedRules())
+    for t_s in (0.0, 1e-9):
+        tracks = tracker.step(t_s, cars((10.0, 0.0)), SeesAll(t_s))
+    found = [*np.diagonal(tracks.covariances[0])[:2], *tracks.box_variances[0, :4]]
+    noise = 1 / (1 / np.array(found) - 1 / np.array([25.0] * 3 + [4.0] * 3))
+    assert noise == pytest.approx(np.array([1.0, 1.0, 1.0, 0.25, 0.25, 0.25]) ** 2, rel=1e-5)
 
 
 # Where the view says yes or no, and the detector finds what can be seen with one probability, existence is a count of
@@ -150,3 +182,14 @@ def test_where_a_view_says_yes_or_no_existence_counts_misses_as_the_published_ru
     # After a track ended, both begin another at the next detection, of which the existence filter is not yet sure.
     ended = next((k for k, (a, b) in enumerate(pairwise(published)) if len(b) < len(a)), len(published))
     assert existence[: ended + 2] == published[: ended + 2]
+
+
+@pytest.mark.parametrize(
+    ("false", "published", "ospa"), [(0, 0.18, 0.18), (1, 1.26, 0.26), (2, 2.32, 0.32), (5, 5.45, 0.45)]
+)
+def test_what_the_published_evaluation_calls_ospa_is_not(false: int, published: float, ospa: float) -> None:
+    truths = np.stack([10.0 * np.arange(10), np.zeros(10), np.zeros(10)], axis=1)
+    ghosts = np.stack([10.0 * np.arange(false), np.full(false, 50.0), np.zeros(false)], axis=1)
+    tracks = np.concatenate([truths + np.array([0.0, 0.18, 0.0]), ghosts])
+    assert published_ospa(tracks, truths) == pytest.approx(published, abs=0.01)
+    assert ospa_m(tracks, truths) == pytest.approx(ospa, abs=0.01)

@@ -21,6 +21,7 @@ from viewshed.recordings.read import open_source
 from viewshed.recordings.read.source import each_sweep
 from viewshed.recordings.write.moment import MAP, Moment, RisingTimes, Transform
 from viewshed.recordings.write.recorder import open_recorder
+from viewshed.recordings.write.ros_topics import TOPICS
 
 pytest.importorskip("rosbags", reason="rosbags is not installed: bags are not written")
 pytest.importorskip("mcap", reason="mcap is not installed: bags are not written")
@@ -123,6 +124,14 @@ def test_topics_of_a_drive(drive: list[Moment], tmp_path: Path) -> None:
     # Vehicles carry their sensor, the mast does not: two mounts.
     mounted = [each.child_frame_id for each in found["/tf_static"][0][1].transforms]
     assert len(mounted) == 2
+
+
+def test_bags_have_the_published_topics() -> None:
+    """All but those of its trust: ours has one number an agent."""
+    of_lidar = ("data", "detections", "fov", "tracks", "object_truth")
+    published = {"/object_truth", "/agent_names", "/attacked_agents", "/{agent}/state", "/tf", "/tf_static"}
+    published |= {"/command_center/tracks"} | {f"/{{agent}}/lidar/{part}" for part in of_lidar}
+    assert published <= {topic.name for topic in TOPICS}
 
 
 def test_grids_and_polygon_are_those_of_the_estimate(drive: list[Moment], tmp_path: Path) -> None:

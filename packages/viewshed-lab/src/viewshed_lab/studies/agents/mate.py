@@ -33,8 +33,11 @@ from numpy.typing import NDArray
 from viewshed.arrays import F64, Mask
 from viewshed.objects.association import assign
 
+PRIOR_MEANS = {"distrusted": 0.2, "untrusted": 0.5, "trusted": 0.8}
+"""Means of the priors of who is new; their strength, α + β, is 1."""
+
 UNKNOWN = np.array([0.5, 0.5])
-"""α and β of who is new, and what trust returns to without measurements."""
+"""α and β that trust returns to without measurements."""
 
 AGENT_BIAS, AGENT_THRESHOLD = 4.0, 0.4
 """Values below the threshold move an agent by the bias; also published 6 and 0.3, 8 and 0.2, and in the air 3."""
@@ -86,13 +89,27 @@ def gains(value: F64, confidence: F64, bias: float, threshold: float) -> F64:
     return np.stack([n / (n + 1) * confidence * value, n**2 / (n + 1) * confidence * (1 - value)], axis=-1)
 
 
-def forget(beta: F64, dt_s: float) -> F64:
+def prior(name: str) -> F64:
+    """Return α and β (2,) of one of ``PRIOR_MEANS``.
+
+    >>> prior("trusted").tolist()
+    [0.8, 0.2]
+
+    Raises:
+        ValueError: there is no such prior.
+    """
+    if name not in PRIOR_MEANS:
+        raise ValueError(f"prior must be one of {', '.join(PRIOR_MEANS)}, got {name!r}")
+    return np.array([PRIOR_MEANS[name], round(1.0 - PRIOR_MEANS[name], 9)])
+
+
+def forget(beta: F64, dt_s: float, return_s: float = RETURN_S) -> F64:
     """Return Beta distributions (…, 2) after some time without measurements.
 
     >>> forget(np.array([8.5, 0.5]), dt_s=2.5).tolist()
     [6.5, 0.5]
     """
-    share = min(1.0, dt_s / RETURN_S)
+    share = min(1.0, dt_s / return_s)
     return np.asarray((1.0 - share) * beta + share * UNKNOWN)
 
 
@@ -143,6 +160,7 @@ def pseudo_measurements(
     updates: NDArray[np.int32],
     track_trust: F64,
     frames: NDArray[np.int32],
+    gate_m: float = GATE_M,
 ) -> PseudoMeasurements:
     """Return what an agent and the tracks of the center say of each other in one round.
 
@@ -153,9 +171,10 @@ def pseudo_measurements(
         updates: (J,) of each.
         track_trust: (J, 2) α and β of each.
         frames: (J,) in a row, this one counted, in which the agent's view covered it.
+        gate_m: an agent's own track farther from the center's is none of it.
     """
     between = np.linalg.norm(xy_m[:, None] - report.seen_xy_m[None], axis=-1)
-    is_matched = assign(GATE_M - between) >= 0
+    is_matched = assign(gate_m - between) >= 0
     distance_m = np.linalg.norm(xy_m - report.xy_m, axis=-1)
     is_self = distance_m < SELF_M
     is_missed = ~is_matched & ~is_self & report.covers & (distance_m <= REACH_M)
@@ -184,21 +203,28 @@ class MateTrust:
     0.5
     """
 
+    agent_prior: str = "untrusted"  # of ``PRIOR_MEANS``, of who is new
+    track_prior: str = "untrusted"
+    agent_bias: float = AGENT_BIAS  # by which values below the threshold move an agent
+    agent_threshold: float = AGENT_THRESHOLD
+    return_s: float = RETURN_S  # after which trust without measurements is ``UNKNOWN``
+    gate_m: float = GATE_M  # beyond which an agent's own track is none of the center's
     agents: dict[str, F64] = field(default_factory=dict)
     tracks: dict[int, F64] = field(default_factory=dict)
     _frames: dict[tuple[str, int], int] = field(default_factory=dict)
     _t_s: float | None = None
 
     def of_agent(self, agent: str) -> float:
-        """Return the mean trust of an agent; ``UNKNOWN`` of one that nobody has heard."""
-        return float(mean_of(self.agents.get(agent, UNKNOWN)))
+        """Return the mean trust of an agent; that of the prior of one that nobody has heard."""
+        return float(mean_of(self.agents.get(agent, prior(self.agent_prior))))
 
     def of_tracks(self, ids: NDArray[np.int64]) -> F64:
-        """Return the mean trust (J,) of tracks; ``UNKNOWN`` of one that nobody has heard."""
+        """Return the mean trust (J,) of tracks; that of the prior of one that nobody has heard."""
         return mean_of(self._betas(ids))
 
     def _betas(self, ids: NDArray[np.int64]) -> F64:
-        return np.array([self.tracks.get(int(track), UNKNOWN) for track in ids]).reshape(-1, 2)
+        new = prior(self.track_prior)
+        return np.array([self.tracks.get(int(track), new) for track in ids]).reshape(-1, 2)
 
     def update(
         self, t_s: float, reports: Sequence[MateReport], ids: NDArray[np.int64], xy_m: F64, updates: NDArray[np.int32]
@@ -219,24 +245,26 @@ class MateTrust:
             raise ValueError(f"time of a round must not go back, got {t_s} after {self._t_s}")
         if any(report.covers.shape != (len(ids),) for report in reports):
             raise ValueError(f"each view must say of {len(ids)} tracks whether it covers them")
-        # 1. Forget; who is new begins with ``UNKNOWN``.
+        # 1. Forget; who is new begins with the prior.
         dt_s = 0.0 if self._t_s is None else t_s - self._t_s
         self._t_s = t_s
-        self.agents = {name: forget(beta, dt_s) for name, beta in self.agents.items()}
-        self.agents |= {report.agent: UNKNOWN for report in reports if report.agent not in self.agents}
+        self.agents = {name: forget(beta, dt_s, self.return_s) for name, beta in self.agents.items()}
+        new = prior(self.agent_prior)
+        self.agents |= {report.agent: new for report in reports if report.agent not in self.agents}
         is_known = np.array([int(track) in self.tracks for track in ids], np.bool_)
         betas = self._betas(ids)
-        betas[is_known] = forget(betas[is_known], dt_s)
+        betas[is_known] = forget(betas[is_known], dt_s, self.return_s)
 
         # 2. What each agent and each track say of each other, all by the trust at the beginning of the round.
         found = []
         for report in reports:
             frames = self._count_frames(report, ids)
-            found.append(pseudo_measurements(report, self.agents[report.agent], xy_m, updates, betas, frames))
+            own = self.agents[report.agent]
+            found.append(pseudo_measurements(report, own, xy_m, updates, betas, frames, self.gate_m))
 
         # 3. Move agents, and those tracks about which enough was reported.
         for report, one in zip(reports, found, strict=True):
-            gain = gains(one.agent_value, one.agent_confidence, AGENT_BIAS, AGENT_THRESHOLD)
+            gain = gains(one.agent_value, one.agent_confidence, self.agent_bias, self.agent_threshold)
             self.agents[report.agent] = self.agents[report.agent] + np.nansum(gain, axis=0)
         if found:
             values = np.stack([one.track_value for one in found])

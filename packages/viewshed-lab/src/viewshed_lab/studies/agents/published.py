@@ -19,6 +19,7 @@ class PublishedTrust:
     So it differs from ours in the trust alone: tracks are the same, and the mask is better than the published polygons.
     """
 
+    least_trust: float = LEAST_TRUST  # tracks below are left out
     _mate: MateTrust = field(default_factory=MateTrust)
     _updates: dict[int, int] = field(default_factory=dict)
 
@@ -40,7 +41,7 @@ class PublishedTrust:
         ]  # fmt: skip
         self._mate.update(picture.t_s, mate_reports, tracks.ids, xy_m, np.array(list(self._updates.values()), np.int32))
         trust = np.array([self._mate.of_agent(agent) for agent in picture.agents])
-        believed = tracks.confirmed & (self._mate.of_tracks(tracks.ids) >= LEAST_TRUST)
+        believed = tracks.confirmed & (self._mate.of_tracks(tracks.ids) >= self.least_trust)
         return trust, np.asarray(believed)
 
 
