@@ -71,17 +71,25 @@ NONSENSE = [
 ]
 
 
+@pytest.fixture(scope="module")
+def context() -> Iterator[rclpy.Context]:
+    """One context for all nodes, and one that stays: each end of a context's last node ends its DDS participant."""
+    made = rclpy.Context()
+    made.init(args=["--ros-args", "-p", "monitor:=never"])
+    stays = rclpy.create_node("stays", context=made)
+    yield made
+    stays.destroy_node()
+    made.shutdown()
+
+
 @pytest.fixture
-def node() -> Iterator[FieldOfView]:
-    context = rclpy.Context()
-    context.init(args=["--ros-args", "-p", "monitor:=never"])
+def node(context: rclpy.Context) -> Iterator[FieldOfView]:
     made = FieldOfView(context=context)
     parameters.read(made)  # declares those of the sensor
     yield made
     if made._settings is not None:
         made.trigger_cleanup()
     made.destroy_node()
-    context.shutdown()
 
 
 @pytest.mark.parametrize(("name", "value", "reason"), NONSENSE)
