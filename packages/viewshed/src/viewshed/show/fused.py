@@ -164,7 +164,7 @@ def fused_strip(rounds: Sequence[Round]) -> bytes:
     return page.png()
 
 
-def _write_agents(page: Canvas, done: Round, left: float, top: float) -> float:
+def _write_agents(page: Canvas, done: Round, left: int, top: int) -> int:
     """Write agents with the trust in each from a place on, and return the row below them."""
     own_colors, heard = _own_colors(done), {report.agent for report in done.reports}
     for at, agent in enumerate(done.picture.agents):
