@@ -90,8 +90,8 @@ def contradictions(done: Round) -> list[tuple[int, int, str]]:
     return found
 
 
-def _map_of(done: Round, side: int) -> Canvas:
-    """Return the map of a round, so many pixels a side: the joint view, agents, objects, and who contradicts whom."""
+def _map_of(done: Round, pairs: list[tuple[int, int, str]], side: int) -> Canvas:
+    """Return the map of a round, ``side`` pixels wide: the joint view, agents, objects, lines between pairs."""
     picture, joint = done.picture, done.joint
     panel = Panel(replace(joint.estimate(done.t_ns), agent=""), "")
     area = map_picture(panel, side)
@@ -120,7 +120,7 @@ def _map_of(done: Round, side: int) -> Canvas:
             for x, y in pixels(claimed_free(claims, other)):
                 area.rectangle((x - 1.5, y - 1.5, x + 1.5, y + 1.5), DISTRUSTED)
     # 3. Who contradicts whom.
-    for one, partner, _ in contradictions(done):
+    for one, partner, _ in pairs:
         ends = [places.get(picture.agents[each]) for each in (one, partner)]
         if ends[0] is not None and ends[1] is not None:
             area.polygon(pixels(np.stack([ends[0], ends[1]])), DISTRUSTED, grow=1.2)
@@ -158,7 +158,7 @@ def fused_strip(rounds: Sequence[Round]) -> bytes:
     for number, done in enumerate(rounds):
         left, top = MARGIN + number * (STRIP_SIDE + MARGIN), MARGIN + 12
         page.text((left, top), f"{done.picture.t_s:.2f} s", 11, bold=True)
-        page.paste(_map_of(done, STRIP_SIDE), left, MARGIN + 30)
+        page.paste(_map_of(done, contradictions(done), STRIP_SIDE), left, MARGIN + 30)
         top += STRIP_SIDE + 30 + _LINE
         _write_agents(page, done, left, top)
     return page.png()
@@ -168,8 +168,8 @@ def _write_agents(page: Canvas, done: Round, left: int, top: int) -> int:
     """Write agents with the trust in each from a place on, and return the row below them."""
     own_colors, heard = _own_colors(done), {report.agent for report in done.reports}
     for at, agent in enumerate(done.picture.agents):
-        trust, word = float(done.picture.verdicts.trust[at]), "accused" if done.accused[at] else ""
-        word = word or ("disputed" if done.disputed[at] else "")
+        trust = float(done.picture.verdicts.trust[at])
+        word = "accused" if done.accused[at] else "disputed" if done.disputed[at] else ""
         page.rectangle((left, top - 11, left + 12, top + 1), color_of(trust))
         silent = "" if agent in heard else " (silent)"
         if _is_outlined(done):
@@ -188,7 +188,7 @@ def fused_picture(done: Round) -> bytes:
     picture, pairs = done.picture, contradictions(done)
     page = Canvas.blank(SIDE + COLUMN + 2 * MARGIN, SIDE + 2 * MARGIN + 30)
     page.text((MARGIN, MARGIN + 12), f"{len(done.reports)} agents, {picture.t_s:.2f} s", 11, bold=True)
-    page.paste(_map_of(done, SIDE), MARGIN, MARGIN + 30)
+    page.paste(_map_of(done, pairs, SIDE), MARGIN, MARGIN + 30)
     left, top = SIDE + 2 * MARGIN, MARGIN + 44
     # 6. Words: agents with trust, what is believed, who contradicts whom.
     top = _write_agents(page, done, left, top)
