@@ -49,7 +49,7 @@ CASES = tuple(product(("development", "own"), PARTS))
 SURE_GROUND_M = 0.1
 COUNTED, CALIBRATED = "counted", "calibrated"
 WORDS = """What the default says of a cell, and how often it is so. *Counted*: the probability by counting beams alone.
-*Calibrated*: that of the estimate, by a network of eight units that was fitted to other worlds
+*Calibrated*: that of the estimate, by a network of sixteen units that was fitted to other worlds
 ([evidence](../estimators.md#evidence)). *Development*: styles, sensors and mountings that share nothing with those it
 was fitted to; *own*: those of the presets, other scenes. Given: the maker's table, height and attitude; rings; nothing
 but points. The calibration error is over all cells whose truth is known, as far as the sensor sees a dark target; the
@@ -65,8 +65,11 @@ STYLES = "Claims by style of the world, all scenes of a style together, rings gi
 FAR_M = 64.0
 """Beyond this lie the corners of the road grid alone."""
 
-SCENES_OF_FILE, CELLS_OF_SWEEP, BATCH, RATE, UNITS = 10, 400, 4096, 8e-3, 8
+SCENES_OF_FILE, CELLS_OF_SWEEP, BATCH, RATE, DECAY, UNITS = 10, 400, 4096, 8e-3, 0.05, 16
 HELD_SHARE = 0.12
+MOST_SWEEP_DEVIATIONS = 2.0
+"""At which features of the sweep are cut off, as in the core: they are the latter half, and one more."""
+
 OTHER_SHARE = 0.3
 """Of the sweeps that are also shown with the target of the other grid."""
 
@@ -101,16 +104,19 @@ class CalibrationNet(nn.Module):
 
     mean: torch.Tensor
     scale: torch.Tensor
+    most: torch.Tensor
 
     def __init__(self, mean: torch.Tensor, scale: torch.Tensor) -> None:
         super().__init__()
         self.register_buffer("mean", mean)
         self.register_buffer("scale", scale)
+        of_cell = torch.arange(len(mean)) < len(mean) // 2
+        self.register_buffer("most", torch.where(of_cell, MOST_DEVIATIONS, MOST_SWEEP_DEVIATIONS))
         self.first, self.second = nn.Linear(len(mean), UNITS), nn.Linear(UNITS, 1)
 
     def forward(self, feature: torch.Tensor) -> torch.Tensor:
         """Return logits (B,) for features (B, F)."""
-        inputs = ((feature - self.mean) * self.scale).clamp(-MOST_DEVIATIONS, MOST_DEVIATIONS)
+        inputs = ((feature - self.mean) * self.scale).clamp(-self.most, self.most)
         logit: torch.Tensor = self.second(torch.relu(self.first(inputs)))[:, 0]
         return logit
 
@@ -141,7 +147,7 @@ def fit(given: argparse.Namespace) -> None:
     torch.manual_seed(0)
     torch.set_num_threads(1)
     net = CalibrationNet(feature[own].mean(0), 1.0 / feature[own].std(0).clamp_min(1e-3))
-    optimizer = torch.optim.AdamW(net.parameters(), RATE, weight_decay=1e-3)
+    optimizer = torch.optim.AdamW(net.parameters(), RATE, weight_decay=DECAY)
     schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, RATE, given.steps)
     for _ in range(given.steps):
         rows = own[torch.randint(len(own), (BATCH,))]

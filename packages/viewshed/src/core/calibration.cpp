@@ -1,6 +1,7 @@
 #include "calibration.hpp"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <cstring>
 #include <iterator>
@@ -17,8 +18,14 @@ namespace {
 #include "calibration_network.inc"
 
 constexpr std::size_t UNITS = std::size(FIRST_BIAS);
-static_assert(std::size(MEAN) == CELL_FEATURES && std::size(SCALE) == CELL_FEATURES && std::size(SECOND_BIAS) == 1);
-static_assert(std::size(FIRST) == CELL_FEATURES * UNITS && std::size(SECOND) == UNITS);
+static_assert(std::size(MEAN) == SHOWN_FEATURES && std::size(SCALE) == SHOWN_FEATURES && std::size(SECOND_BIAS) == 1);
+static_assert(std::size(FIRST) == SHOWN_FEATURES * UNITS && std::size(SECOND) == UNITS);
+
+// The features of a sweep are cut off sooner than those of cells: few places were seen, and many cells in each.
+constexpr float MOST_SWEEP_DEVIATIONS = 2.0f;
+
+// Ground that is even to within this is as even as any.
+constexpr double LEAST_RELIEF_M = 0.1;
 
 // Half the width in cells of the squares over which probabilities are averaged twice, one after the other.
 constexpr std::size_t NEAR_CELLS = 2, WIDE_CELLS = 6;
@@ -153,11 +160,11 @@ MULTIVERSION void write_away(const float* __restrict limit_m, const float* __res
     }
 }
 
-// Write the features of cells from `first` on, a row of `stride` for each.
-void describe_block(const Scene& scene, std::size_t first, std::size_t size, std::size_t stride, float* feature) {
+// Write the features of cells from `first` on, a row of CELLS for each.
+void describe_block(const Scene& scene, std::size_t first, std::size_t size, float* feature) {
     const CellEvidence& of = scene.evidence;
     const float* const range_m = &scene.windows.cell_range_m[first];
-    const auto row = [&](CellFeature k) { return feature + k * stride; };
+    const auto row = [&](CellFeature k) { return feature + k * CELLS; };
     float blocker_m[CELLS], farthest_m[CELLS], likely[CELLS], late[CELLS], own[CELLS];
     for (std::size_t n = 0; n < size; ++n) {
         const auto bin = std::size_t(scene.windows.cell_bin[first + n]);
@@ -177,25 +184,94 @@ void describe_block(const Scene& scene, std::size_t first, std::size_t size, std
     write_logs(of.measured + first, size, row(CELL_BEAMS_MEASURED));
     write_logs(likely, size, row(CELL_BEAMS_LIKELY));
     write_logs(late, size, row(CELL_BEAMS_LATE));
+    write_logs(range_m, size, row(CELL_RANGE));
 }
 
-// Write the logits of cells by the network from their features (CELL_FEATURES, CELLS), AT_ONCE at a time: the features of
-// these stay in registers.
-MULTIVERSION void run_network(const float* __restrict feature, std::size_t size, float* __restrict logit) {
+// Write the sums (CELL_FEATURES + 1,) of features (CELL_FEATURES, CELLS) over the cells at which beams aim, and their number last.
+// The lanes are summed one by one, so that the sums are the same on every processor; features beyond `size` are 0.
+MULTIVERSION void sum_aimed(const float* __restrict feature, const float* __restrict aimed, std::size_t size, double* sums) {
+    float counts[CELLS] = {};
+    for (std::size_t n = 0; n < size; ++n) counts[n] = aimed[n] > 0.0f ? 1.0f : 0.0f;
+    for (std::size_t k = 0; k <= CELL_FEATURES; ++k) {
+        Lanes sum{};
+        for (std::size_t n = 0; n < CELLS; n += AT_ONCE) {
+            Lanes count, value = Lanes{} + 1.0f;
+            std::memcpy(&count, counts + n, sizeof(Lanes));
+            if (k < CELL_FEATURES) std::memcpy(&value, feature + k * CELLS + n, sizeof(Lanes));
+            sum += count * value;
+        }
+        sums[k] = 0.0;
+        for (std::size_t j = 0; j < AT_ONCE; ++j) sums[k] += double(sum[j]);
+    }
+}
+
+// The standard deviation of the heights of the ground.
+double relief_of(View2<const float> heights_m) {
+    double sum = 0.0, squares = 0.0;
+    for (const float height_m : heights_m.flat()) sum += double(height_m), squares += double(height_m) * double(height_m);
+    const double count = double(std::max<std::size_t>(heights_m.size(), 1)), mean = sum / count;
+    return std::sqrt(std::max(squares / count - mean * mean, 0.0));
+}
+
+// The features of cells, block by block (CELL_FEATURES, CELLS), and those of the sweep.
+struct Description {
+    std::size_t blocks;
+    Buffer<float> cells;
+    float sweep[SWEEP_FEATURES];
+
+    Description(const Scene& scene, View2<const float> heights_m)
+        : blocks((scene.windows.cells() + CELLS - 1) / CELLS), cells(blocks * CELL_FEATURES * CELLS, 0.0f) {
+        constexpr std::size_t SUMS = CELL_FEATURES + 1;
+        const std::size_t count = scene.windows.cells();
+        Buffer<double> sums(blocks * SUMS);
+        for_ranges(blocks, count_parts(count, PART), [&](std::size_t, std::size_t begin, std::size_t end) {
+            for (std::size_t block = begin; block < end; ++block) {
+                const std::size_t at = block * CELLS, size = std::min(CELLS, count - at);
+                describe_block(scene, at, size, of(block));
+                sum_aimed(of(block), scene.evidence.aimed + at, size, &sums[block * SUMS]);
+            }
+        });
+        double all[SUMS] = {};
+        for (std::size_t n = 0; n < blocks * SUMS; ++n) all[n % SUMS] += sums[n];
+        for (std::size_t k = 0; k < CELL_FEATURES; ++k) sweep[k] = float(all[k] / std::max(all[CELL_FEATURES], 1.0));
+        sweep[SWEEP_RELIEF] = log2_of(float(LEAST_RELIEF_M + relief_of(heights_m)));
+    }
+
+    float* of(std::size_t block) { return &cells[block * CELL_FEATURES * CELLS]; }
+};
+
+// A feature in standard deviations from its mean, cut off.
+INLINE float standardized(float feature, std::size_t k, float most) {
+    const float value = (feature - MEAN[k]) * SCALE[k];
+    const float high = value < most ? value : most;
+    return high > -most ? high : -most;
+}
+
+// The first layer's bias of one sweep: what its own features add is the same for all of its cells.
+std::array<float, UNITS> bias_of(const float* sweep) {
+    std::array<float, UNITS> bias;
+    std::copy_n(FIRST_BIAS, UNITS, bias.begin());
+    for (std::size_t k = 0; k < SWEEP_FEATURES; ++k) {
+        const float value = standardized(sweep[k], CELL_FEATURES + k, MOST_SWEEP_DEVIATIONS);
+        for (std::size_t u = 0; u < UNITS; ++u) bias[u] += value * FIRST[(CELL_FEATURES + k) * UNITS + u];
+    }
+    return bias;
+}
+
+// Write the logits of cells by the network from their features (CELL_FEATURES, CELLS) and the bias of their sweep, AT_ONCE at a
+// time: the features of these stay in registers.
+MULTIVERSION void run_network(const float* __restrict feature, const float* __restrict bias, std::size_t size,
+                              float* __restrict logit) {
     for (std::size_t n = 0; n < size; n += AT_ONCE) {
         Lanes in[CELL_FEATURES];
         for (std::size_t k = 0; k < CELL_FEATURES; ++k) {
             float standard[AT_ONCE];
-            for (std::size_t j = 0; j < AT_ONCE; ++j) {
-                const float value = (feature[k * CELLS + n + j] - MEAN[k]) * SCALE[k];
-                const float high = value < MOST_DEVIATIONS ? value : MOST_DEVIATIONS;
-                standard[j] = high > -MOST_DEVIATIONS ? high : -MOST_DEVIATIONS;
-            }
+            for (std::size_t j = 0; j < AT_ONCE; ++j) standard[j] = standardized(feature[k * CELLS + n + j], k, MOST_DEVIATIONS);
             std::memcpy(&in[k], standard, sizeof(Lanes));
         }
         Lanes sum = Lanes{} + SECOND_BIAS[0];
         for (std::size_t u = 0; u < UNITS; ++u) {
-            Lanes unit = Lanes{} + FIRST_BIAS[u];
+            Lanes unit = Lanes{} + bias[u];
             for (std::size_t k = 0; k < CELL_FEATURES; ++k) unit += in[k] * FIRST[k * UNITS + u];
             unit = unit > 0.0f ? unit : Lanes{};
             sum += unit * SECOND[u];
@@ -220,25 +296,24 @@ MULTIVERSION void decide(const float* __restrict logit, const float* __restrict 
 }  // namespace
 
 void describe_cells(const CellWindows& windows, const CellEvidence& evidence, const LeveledReturns& returns,
-                    View1<const float> table, View2<float> feature) {
-    const Scene scene(windows, evidence, returns, table);
-    for (std::size_t first = 0; first < windows.cells(); first += CELLS) {
-        const std::size_t size = std::min(CELLS, windows.cells() - first);
-        describe_block(scene, first, size, feature.columns, feature.data + first);
+                    View1<const float> table, View2<const float> heights_m, View2<float> feature) {
+    Description seen(Scene(windows, evidence, returns, table), heights_m);
+    for (std::size_t k = 0; k < CELL_FEATURES; ++k) {
+        for (std::size_t n = 0; n < windows.cells(); ++n) feature(k, n) = seen.of(n / CELLS)[k * CELLS + n % CELLS];
     }
+    for (std::size_t k = 0; k < SWEEP_FEATURES; ++k) std::fill_n(feature[CELL_FEATURES + k], windows.cells(), seen.sweep[k]);
 }
 
 void calibrate(const CellWindows& windows, const CellEvidence& evidence, const LeveledReturns& returns, View1<const float> table,
-               View1<float> prob) {
-    const Scene scene(windows, evidence, returns, table);
-    const std::size_t blocks = (windows.cells() + CELLS - 1) / CELLS;
+               View2<const float> heights_m, View1<float> prob) {
+    Description seen(Scene(windows, evidence, returns, table), heights_m);
+    const auto bias = bias_of(seen.sweep);
     const float below = std::nextafter(THRESHOLD, 0.0f);
-    for_ranges(blocks, count_parts(windows.cells(), PART), [&](std::size_t, std::size_t begin, std::size_t end) {
-        float feature[CELL_FEATURES][CELLS] = {}, logit[CELLS];
+    for_ranges(seen.blocks, count_parts(windows.cells(), PART), [&](std::size_t, std::size_t begin, std::size_t end) {
+        float logit[CELLS];
         for (std::size_t block = begin; block < end; ++block) {
             const std::size_t at = block * CELLS, size = std::min(CELLS, windows.cells() - at);
-            describe_block(scene, at, size, CELLS, feature[0]);
-            run_network(feature[0], size, logit);
+            run_network(seen.of(block), bias.data(), size, logit);
             decide(logit, evidence.visible_prob + at, evidence.aimed + at, size, below, &prob[at]);
         }
     });

@@ -218,7 +218,7 @@ SweepEstimate SweepEstimator::estimate(const SweepInput& given, const SensorMode
                  {visible.data(), denied.data(), bytes(obstacle)}, state);
     // 6. How often what is claimed, and what is not, is visible.
     calibrate(windows_, {measured.data(), inferred.data(), late.data(), aimed.data(), visible_prob.data()},
-              {at.level.azimuth, at.level.range_m, at.level.height_m, LOW_M, HIGH_M}, probabilities_, calibrated);
+              {at.level.azimuth, at.level.range_m, at.level.height_m, LOW_M, HIGH_M}, probabilities_, ground.heights_m, calibrated);
     // 7. What the estimate rests on.
     const Claims claims = count_claims(state, measured.data(), nodes_of_cells(nodes).data, std_m.flat(), probabilities_);
     const double claimed = double(std::max<std::size_t>(claims.all, 1));

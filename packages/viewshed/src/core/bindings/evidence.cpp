@@ -141,30 +141,32 @@ void bind_evidence(nb::module_& m) {
     m.def(
         "calibrated_prob",
         [](const CellWindows& windows, const EvidenceArrays& evidence, const ReturnArrays& returns, float low_m, float high_m,
-           In1<float> table) {
+           In2<float> heights_m, In1<float> table) {
             Buffer<float> prob(windows.cells());
             const CellEvidence cells = cells_of(windows, evidence);
             const LeveledReturns seen = returns_of(returns, low_m, high_m);
-            without_lock([&] { calibrate(windows, cells, seen, table_of(table), prob); });
+            without_lock([&] { calibrate(windows, cells, seen, table_of(table), view(heights_m), prob); });
             return array(std::move(prob), {windows.grid_rows, windows.grid_columns});
         },
-        "windows"_a, "evidence"_in, "returns"_in, "low_m"_a, "high_m"_a, nb::kw_only(), "table"_in,
+        "windows"_a, "evidence"_in, "returns"_in, "low_m"_a, "high_m"_a, "heights_m"_in, nb::kw_only(), "table"_in,
         "Calibrated probability (cells, cells) of visible, from evidence measured, inferred, late, aimed, visible_prob (cells, "
-        "cells) and returns (azimuth, range_m, height_m), obstacles between low_m and high_m above local ground.");
+        "cells), returns (azimuth, range_m, height_m), obstacles between low_m and high_m above local ground, and the ground's "
+        "heights on its lattice.");
     m.def(
         "cell_features",
         [](const CellWindows& windows, const EvidenceArrays& evidence, const ReturnArrays& returns, float low_m, float high_m,
-           In1<float> table) {
-            Buffer<float> feature(CELL_FEATURES * windows.cells());
+           In2<float> heights_m, In1<float> table) {
+            Buffer<float> feature(SHOWN_FEATURES * windows.cells());
             const CellEvidence cells = cells_of(windows, evidence);
             const LeveledReturns seen = returns_of(returns, low_m, high_m);
             without_lock([&] {
-                describe_cells(windows, cells, seen, table_of(table), {feature.data(), CELL_FEATURES, windows.cells()});
+                describe_cells(windows, cells, seen, table_of(table), view(heights_m),
+                               {feature.data(), SHOWN_FEATURES, windows.cells()});
             });
-            return array(std::move(feature), {std::size_t(CELL_FEATURES), windows.grid_rows, windows.grid_columns});
+            return array(std::move(feature), {SHOWN_FEATURES, windows.grid_rows, windows.grid_columns});
         },
-        "windows"_a, "evidence"_in, "returns"_in, "low_m"_a, "high_m"_a, nb::kw_only(), "table"_in,
-        "What the network of calibrated_prob is shown (features, cells, cells).");
+        "windows"_a, "evidence"_in, "returns"_in, "low_m"_a, "high_m"_a, "heights_m"_in, nb::kw_only(), "table"_in,
+        "What the network of calibrated_prob is shown (features, cells, cells): of each cell, then of the sweep.");
     m.def(
         "states",
         [](In2<float> measured, In2<float> late, In2<float> aimed, In2<float> visible_prob, In2<bool> within_reach,

@@ -108,7 +108,8 @@ def calibrated_prob(leveled: LeveledSweep, evidence: BeamEvidence) -> F32:
     """Return the probability (cells, cells) that a target in each cell is visible, calibrated by exact truth.
 
     A small network (``tools/fit_calibration.py`` fits it) turns what the beams say of a cell, what they say around it,
-    and where the nearest obstacle and the farthest return of its azimuth lie, into how often such a cell is visible.
+    where the nearest obstacle and the farthest return of its azimuth lie, and what all cells of the sweep are like on
+    average, into how often such a cell is visible.
     Each cell stays on the side of the threshold on which the beams put it.
     """
     return _core.calibrated_prob(*_seen_by_network(leveled, evidence), table=poisson_table(evidence.target.min_returns))
@@ -169,7 +170,8 @@ def _count_beams(leveled: LeveledSweep, grid: BevGrid, target: Target, history: 
 def _seen_by_network(leveled: LeveledSweep, of: BeamEvidence) -> tuple[Any, ...]:
     cells = of.measured, of.inferred, of.late, of.aimed, of.visible_prob
     returns = leveled.azimuth, leveled.range_m, leveled.height_m
-    return cell_windows(of.grid, of.target.width_m), cells, returns, *OBSTACLE_HEIGHTS_M
+    heights_m = leveled.ground.heights_m
+    return cell_windows(of.grid, of.target.width_m), cells, returns, *OBSTACLE_HEIGHTS_M, heights_m
 
 
 def expected_returns(leveled: LeveledSweep, boxes: NDArray[np.floating[Any]], *, leave_out_own: bool = True) -> Counts:
