@@ -44,7 +44,7 @@ BOX, CORNER = np.array([[6.0, 2.0, 0.8, 4.0, 1.8, 1.5, 0.3]]), {"x_m": -2.0, "y_
 APEX = {"x_m": 0.0, "y_m": 0.0, "cell_m": 1.0, "apex_x_m": 1.5, "apex_y_m": 1.5, "half_m": 0.5, "bins": 8}
 
 EVIDENCE: dict[str, Any] = {
-    "evidence": (np.full(GRID.shape, 0.4, F4),) * 5, "returns": KIND, "low_m": 0.3, "high_m": 3.0,
+    "evidence": (np.full(GRID.shape, 0.4, F4),) * 5, "returns": KIND, "low_m": 0.3, "high_m": 3.0, "heights_m": FLAT,
     "table": _core.poisson_table(5),
 }  # fmt: skip
 
@@ -142,8 +142,8 @@ ANY_LENGTH = {
     "infer_sensor": ("points",), "recover_rings": ("points",),
     "polar": ("points",), "azimuth_bins_filled": ("azimuth",), "fill_rings": ("edges",),
     "mean_and_deviation": ("probability",), "best_sectors": ("ranges",),
-    "star_vertices": ("ranges",), "beam_evidence": ("table",), "calibrated_prob": ("table",),
-    "cell_features": ("table",), "lattice_positions": ("xy",),
+    "star_vertices": ("ranges",), "beam_evidence": ("table",), "calibrated_prob": ("table", "heights_m"),
+    "cell_features": ("table", "heights_m"), "lattice_positions": ("xy",),
     "visible_before": ("boxes",), "look_at_boxes": ("boxes",), "mark_surfaces": ("surfaces",),
     "count_met": ("surfaces", "headings", "x_m", "y_m"), "compare_view": ("blockers",), "compare_past": ("places",),
     "decode_view": ("code",), "range_noise": ("points",),

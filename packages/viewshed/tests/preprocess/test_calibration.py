@@ -1,5 +1,6 @@
 """The calibrated probability: laws, the network in NumPy, and exact truth that it was not fitted to."""
 
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -10,12 +11,16 @@ from scipy.ndimage import uniform_filter
 from viewshed import CAR, GRIDS, Sweep, load_estimator
 from viewshed.fov.estimate import THRESHOLD
 from viewshed.fov.visibility import probability_of_visible
+from viewshed.grid import polar_of_cells
 from viewshed.preprocess.evidence import beam_evidence, calibrated_prob, cell_features
 from viewshed.preprocess.leveling import LeveledSweep, level
 from viewshed_lab.data.wild import WildObservation, wild_scenes
 from viewshed_lab.training.no_return import arrays_of
 
 NUMBERS = Path(__file__).resolve().parents[2] / "src" / "core" / "calibration_network.inc"
+OWN = 12
+"""Features of the cell itself; as many are of the sweep, and one more."""
+
 SCENES = wild_scenes("development", "road")[:8]
 
 
@@ -50,7 +55,9 @@ def test_the_core_runs_the_network_whose_numbers_it_holds() -> None:
     evidence = beam_evidence(leveled, GRIDS["road"], CAR)
     of = arrays_of(NUMBERS.read_text(encoding="ascii"))
     features = cell_features(leveled, evidence)
-    inputs = ((features.reshape(len(features), -1).T - of["mean"]) * of["scale"]).clip(-6, 6)
+    # Features of the sweep, the last ones, are cut off sooner.
+    most = np.where(np.arange(len(features)) < OWN, 6, 2)
+    inputs = ((features.reshape(len(features), -1).T - of["mean"]) * of["scale"]).clip(-most, most)
     hidden = np.maximum(inputs @ of["first"] + of["first_bias"], 0)
     said = 1 / (1 + np.exp(-(hidden @ of["second"] + of["second_bias"])[:, 0].reshape(evidence.grid.shape)))
     prob = calibrated_prob(leveled, evidence)
@@ -77,7 +84,36 @@ def test_features_of_cells_are_those_of_numpy() -> None:
     wanted = [logit(counted), logit(near), logit(mean_around(near, 13)), logit(own)]
     features = cell_features(leveled, evidence)
     np.testing.assert_allclose(features[:4], wanted, atol=2e-3)
-    np.testing.assert_allclose(features[7:], np.log2(1 + np.maximum(returns, 0)), atol=1e-3)
+    np.testing.assert_allclose(features[7:11], np.log2(1 + np.maximum(returns, 0)), atol=1e-3)
+    np.testing.assert_allclose(features[11], np.log2(1 + polar_of_cells(evidence.grid)[0]), atol=1e-3)
+
+
+def test_features_of_the_sweep_are_means_over_cells_at_which_beams_aim() -> None:
+    _, leveled = observed(3)
+    evidence = beam_evidence(leveled, GRIDS["road"], CAR)
+    features = cell_features(leveled, evidence)
+    own, sweep = features[:OWN], features[OWN:]
+    assert len(sweep) == OWN + 1
+    assert (sweep == sweep[:, :1, :1]).all()
+    np.testing.assert_allclose(sweep[:-1, 0, 0], own[:, evidence.aimed > 0].mean(1), atol=1e-3)
+    np.testing.assert_allclose(sweep[-1, 0, 0], np.log2(0.1 + leveled.ground.heights_m.std()), atol=1e-3)
+
+
+def test_a_sweep_that_aims_nowhere_is_described() -> None:
+    leveled = level(Sweep(np.zeros((0, 3), np.float32)), GRIDS["road"])
+    evidence = beam_evidence(leveled, GRIDS["road"], CAR)
+    assert not evidence.aimed.any()
+    assert not cell_features(leveled, evidence)[OWN:-1].any()
+    assert not calibrated_prob(leveled, evidence).any()
+
+
+def test_the_same_cells_are_doubted_more_where_the_ground_is_uneven() -> None:
+    _, leveled = observed(1)
+    evidence = beam_evidence(leveled, GRIDS["road"], CAR)
+    hilly = replace(leveled.ground, heights_m=(leveled.ground.heights_m * 20).astype(np.float32))
+    claimed = evidence.supports_claim()
+    even, uneven = (calibrated_prob(one, evidence)[claimed].mean() for one in (leveled, replace(leveled, ground=hilly)))
+    assert uneven < even
 
 
 def test_features_of_a_wall_in_the_dark() -> None:
