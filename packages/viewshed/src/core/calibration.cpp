@@ -220,13 +220,14 @@ struct Description {
     float sweep[SWEEP_FEATURES];
 
     Description(const Scene& scene, View2<const float> heights_m)
-        : blocks((scene.windows.cells() + CELLS - 1) / CELLS), cells(blocks * CELL_FEATURES * CELLS, 0.0f) {
+        : blocks((scene.windows.cells() + CELLS - 1) / CELLS), cells(blocks * CELL_FEATURES * CELLS) {
         constexpr std::size_t SUMS = CELL_FEATURES + 1;
         const std::size_t count = scene.windows.cells();
         Buffer<double> sums(blocks * SUMS);
         for_ranges(blocks, count_parts(count, PART), [&](std::size_t, std::size_t begin, std::size_t end) {
             for (std::size_t block = begin; block < end; ++block) {
                 const std::size_t at = block * CELLS, size = std::min(CELLS, count - at);
+                if (size < CELLS) std::fill_n(of(block), CELL_FEATURES * CELLS, 0.0f);
                 describe_block(scene, at, size, of(block));
                 sum_aimed(of(block), scene.evidence.aimed + at, size, &sums[block * SUMS]);
             }
