@@ -49,11 +49,11 @@ CASES = tuple(product(("development", "own"), PARTS))
 SURE_GROUND_M = 0.1
 COUNTED, CALIBRATED = "counted", "calibrated"
 WORDS = """What the default says of a cell, and how often it is so. *Counted*: the probability by counting beams alone.
-*Calibrated*: that of the estimate, by a network of sixteen units that was fitted to other worlds
-([evidence](../estimators.md#evidence)). *Development*: styles, sensors and mountings that share nothing with those it
-was fitted to; *own*: those of the presets, other scenes. Given: the maker's table, height and attitude; rings; nothing
-but points. The calibration error is over all cells whose truth is known, as far as the sensor sees a dark target; the
-doubt is judged where beams aim. Both say the same of what is visible, so that they have one F1."""
+*Calibrated*: that of the estimate, by a network of sixteen units that also sees what the whole sweep is like
+([evidence](../estimators.md#evidence)), fitted to other worlds. *Development*: styles, sensors and mountings that share
+nothing with these; *own*: those of the presets, other scenes. Given: the maker's table, height and attitude; rings;
+nothing but points. The calibration error is over all cells whose truth is known, as far as the sensor sees a dark
+target; the doubt is judged where beams aim. Both say the same of what is visible, so that they have one F1."""
 
 PRIORS = """What was not measured and is guessed, rings given. *By inferred beams alone*: claimed cells that measured
 beams would not support; *false* if the truth does not show them. *Unresolved*: missed cells that would be claimed if
@@ -68,7 +68,7 @@ FAR_M = 64.0
 SCENES_OF_FILE, CELLS_OF_SWEEP, BATCH, RATE, DECAY, UNITS = 10, 400, 4096, 8e-3, 0.05, 16
 HELD_SHARE = 0.12
 MOST_SWEEP_DEVIATIONS = 2.0
-"""At which features of the sweep are cut off, as in the core: they are the latter half, and one more."""
+"""At which features of the sweep are cut off, as in the core."""
 
 OTHER_SHARE = 0.3
 """Of the sweeps that are also shown with the target of the other grid."""
@@ -100,7 +100,10 @@ def make_file(folder: Path, scenes: list[WildScene]) -> None:
 
 
 class CalibrationNet(nn.Module):
-    """Two layers on standardized features (B, F), cut off as the core cuts them; returns logits (B,)."""
+    """Two layers on standardized features (B, F), cut off as the core cuts them; returns logits (B,).
+
+    The first half of the features is a cell's own, the others are of its sweep.
+    """
 
     mean: torch.Tensor
     scale: torch.Tensor
