@@ -103,7 +103,7 @@ def _check_arrays(real_data: Path | None) -> list[str]:
 
 
 def published() -> dict[str, tables.Page]:
-    """Return the tables of the published pages by page; the overview has none of its own, full pages are not published."""
+    """Return the tables of the published pages by page; the overview has none, and full pages are not published."""
     paths = [path for path in sorted(RESULTS.glob("*.md")) if path.stem != "index" and not path.stem.endswith("_full")]
     pages = {path.stem: tables.parse(path.read_text(encoding="utf-8")) for path in paths}
     return {name: page for name, page in pages.items() if page}
