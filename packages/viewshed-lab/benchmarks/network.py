@@ -33,13 +33,19 @@ from viewshed_lab.studies.samples import sample_of
 PAGE = Path(__file__).resolve().parents[3] / "docs" / "results" / "network_speed.md"
 SEED, PASSES = 11, 20
 FEWER, MANY, SWEEPS = (5, 10), 100, 40
-"""Fewer passes that are tried as well, those that they are compared with, and on how many simulated sweeps."""
+"""Fewer passes that are tried as well, those that all are compared with, and on how many simulated sweeps."""
+
+BALANCED, INDEPENDENT = "balanced", "independent"
+"""How the masks of several passes are drawn: by :meth:`UNetShape.masks`, or each by itself as the paper has it."""
 
 ROUNDS, BUDGET_S = 3, 6.0
 SIZES = ("35k", "120k")
 ENGINE, TORCH, NONE = "onnxruntime", "torch, eager", "no network"
 ONE_PASS = "one torch pass"
-TARGETS_HZ = {("MLE to mask", "35k"): 200, (f"MCD T = {PASSES} to mask: {ENGINE} {INT8}", "35k"): 22}
+TARGETS_HZ = {
+    ("MLE to mask", "35k"): 200,
+    **{(f"MCD T = {passes} to mask: {ENGINE} {INT8}", "35k"): 22 for passes in (10, PASSES)},
+}
 """By row, with its engine or without, and size."""
 HEAD = ["what", "points", "median, ms (10–90 %)", "Hz", "of one torch pass", "GFLOP/s", "target", ""]
 TEXT = """\
@@ -57,9 +63,12 @@ and {half:.0f} in bfloat16 here and now. At that rate one pass takes {floor_one:
 {passes} passes {floor_all:.0f} or {floor_all_half:.0f} ms. Of each pass {own:.0%} depends on its mask; what lies before
 the first mask, and the half of the last decoder stage that reads stage 1, is computed once for all passes, exactly."""
 FEWER_TEXT = """\
-F1 of the mean over the passes, without bounds by the beams, on {sweeps} simulated sweeps of `{preset}` against {truth};
-one pass has dropout off. Correlation: of the deviation with that over {many} passes of other masks, over the cells
-whose truth is known."""
+On {sweeps} simulated sweeps of `{preset}` against {truth}, over the cells whose truth is known, without bounds by the
+beams. Balanced masks, those of `mc_dropout`, drop each channel in the same share of the passes; independent ones are
+each drawn by itself, as the paper has it. F1 is that of the mean over the passes; one pass has dropout off.
+Off: root mean square of what the mean is off that over {many} passes in float32. Correlation: of the deviation with
+theirs. **Ten balanced passes stand for twenty independent ones** if they are off by no more, and their F1 is within .002
+of that of {many} passes in float32: they do{verdict}."""
 
 
 def main() -> None:
@@ -88,7 +97,9 @@ def main() -> None:
     if chosen.only:
         return
     # Drawn weights have no F1 to lose.
-    fewer = [] if chosen.weights is None or not card.shape.dropout else fewer_passes(OnnxRunner(path, chosen.threads))
+    runners = {"float32": OnnxRunner(path, chosen.threads)}
+    runners |= {each: load_runner(each, chosen.threads) for each in chosen.beside.split(",") if each}
+    fewer = [] if chosen.weights is None or not card.shape.dropout else fewer_passes(runners)
     libraries = ("numpy", "onnxruntime", "torch")
     about = facts(
         libraries=", ".join(f"{name} {metadata.version(name)}" for name in libraries),
@@ -187,34 +198,63 @@ def mask_job(runner: Runner, sweep: Sweep, passes: int) -> Callable[[], object]:
     return job
 
 
-def fewer_passes(runner: Runner, sweeps: int = SWEEPS) -> list[str]:
-    """Return heading, words and table of what fewer passes cost: F1, and how much of the deviation they keep."""
-    card = runner.card
+def fewer_passes(runners: Mapping[str, Runner], sweeps: int = SWEEPS) -> list[str]:
+    """Return heading, words and table of what fewer passes cost; the first network, in float32, is the reference."""
+    whole = next(iter(runners.values()))
+    card = whole.card
     preset, exact = "ugv" if card.grid.half_extent_m < ROOM_M else "nuscenes", card.truth == "probe"
-    scores = {passes: Scores() for passes in (1, *FEWER, PASSES, MANY)}
-    deviations: dict[int, list[F32]] = {passes: [] for passes in scores}
+    drawn = [(BALANCED, passes) for passes in (1, *FEWER, PASSES)] + [(INDEPENDENT, PASSES)]
+    scores = {(name, *how): Scores() for name in runners for how in drawn}
+    score_of_many = Scores()
+    off: dict[tuple[str, str, int], list[F32]] = {key: [] for key in scores}
+    deviations: dict[tuple[str, str, int], list[F32]] = {key: [] for key in scores}
+    reference: list[F32] = []
     for number in range(sweeps):
         sample = sample_of(preset, number, sweeps, SEED)
         truth = Reference.exact(sample) if exact else Reference.label(sample, card.grid)
         if truth.grid != card.grid:
             raise ValueError(f"weights must be for the grid of the preset {preset}, {truth.grid}, got {card.grid}")
-        inputs = card.input_of(sample.sweep)[None]
-        for passes, score in scores.items():
-            masks = None if passes == 1 else card.shape.masks(passes, np.random.default_rng([SEED, number, passes]))
-            mean, std = mean_and_deviation(runner.run(inputs, masks))
-            score.add(mean[truth.known], truth.visible[truth.known])
-            deviations[passes].append(std[truth.known])
-    joined = {passes: np.concatenate(each) for passes, each in deviations.items()}
+        known = truth.known
+        mean_of_many, std_of_many = mean_and_deviation(
+            whole.run(whole.card.input_of(sample.sweep)[None], masks_of(card, BALANCED, MANY, number))
+        )
+        reference.append(std_of_many[known])
+        score_of_many.add(mean_of_many[known], truth.visible[known])
+        for (name, way, passes), score in scores.items():
+            runner = runners[name]
+            masks = None if passes == 1 else masks_of(card, way, passes, number)
+            mean, std = mean_and_deviation(runner.run(runner.card.input_of(sample.sweep)[None], masks))
+            score.add(mean[known], truth.visible[known])
+            off[name, way, passes].append((mean - mean_of_many)[known])
+            deviations[name, way, passes].append(std[known])
+    of_many = np.concatenate(reference)
+    f1 = {key: score.f1(card.threshold) for key, score in scores.items()}
+    f1_of_many = score_of_many.f1(card.threshold)
+    rms = {key: float(np.sqrt(np.mean(np.square(np.concatenate(each))))) for key, each in off.items()}
     rows = [
-        [str(passes), f"{score.f1(card.threshold):.4f}",
-         f"{np.corrcoef(joined[passes], joined[MANY])[0, 1]:.3f}" if 1 < passes < MANY else "–"]
-        for passes, score in scores.items()
+        [name, "–" if passes == 1 else way, str(passes), f"{f1[name, way, passes]:.4f}",
+         f"{rms[name, way, passes]:.4f}",
+         "–" if passes == 1 else
+         f"{np.corrcoef(np.concatenate(deviations[name, way, passes]), of_many)[0, 1]:.3f}"]
+        for name, way, passes in scores
     ]  # fmt: skip
+    rows.insert(0, [next(iter(runners)), BALANCED, str(MANY), f"{f1_of_many:.4f}", "–", "–"])
+    ten, twenty = [(name, BALANCED, 10) for name in runners], [(name, INDEPENDENT, PASSES) for name in runners]
+    same = all(rms[a] <= rms[b] and abs(f1[a] - f1_of_many) <= 0.002 for a, b in zip(ten, twenty, strict=True))
     words = FEWER_TEXT.format(
-        sweeps=sweeps, preset=preset, truth="exact truth" if exact else "the paper's label", many=MANY
-    )
-    header = ["passes", "F1", f"correlation with the deviation of {MANY} passes"]
+        sweeps=sweeps, preset=preset, truth="exact truth" if exact else "the paper's label", many=MANY,
+        verdict="" if same else " **not**",
+    )  # fmt: skip
+    header = ["network", "masks", "passes", "F1", "off", "correlation"]
     return ["## Fewer passes", words, table(header, rows)]
+
+
+def masks_of(card: NetworkCard, way: str, passes: int, number: int) -> F32:
+    """Return the masks (passes, M) of a sweep by its number, ``BALANCED`` or ``INDEPENDENT``."""
+    rng = np.random.default_rng([SEED, number, passes])
+    if way == BALANCED:
+        return card.shape.masks(passes, rng)
+    return np.concatenate([card.shape.masks(1, rng) for _ in range(passes)])
 
 
 def rows_of(timings: Mapping[tuple[str, str], Timing], flops: int) -> list[list[str]]:

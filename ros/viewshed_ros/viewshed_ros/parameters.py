@@ -122,7 +122,7 @@ PARAMETERS: dict[str, Parameter] = {
         "Of unet and mc_dropout: file or name of a network; empty for the shipped one of grid and target.",
         check=_check_weights,
     ),
-    "passes": Parameter(0, "Of mc_dropout: passes, 2 or more; 0 for the usual 20.", least_and_most=(0, 1000)),
+    "passes": Parameter(0, "Of mc_dropout: passes, 2 or more; 0 for the usual 10.", least_and_most=(0, 1000)),
     "grid": Parameter(
         OF_PROFILE, "Name of the grid, or profile; with weights, profile is their own.", (OF_PROFILE, *GRIDS)
     ),

@@ -414,7 +414,7 @@ Weights = Annotated[
     str | None,
     typer.Option("--weights", help="For a network: its ONNX file, or the name of weights that come with viewshed."),
 ]
-Passes = Annotated[int | None, typer.Option("--passes", help="Passes of the method mc_dropout; 20 if not given.")]
+Passes = Annotated[int | None, typer.Option("--passes", help="Passes of the method mc_dropout; 10 if not given.")]
 Seed = Annotated[int | None, typer.Option("--seed", help="Seed of the method mc_dropout; 0 if not given.")]
 
 HistorySweeps = Annotated[

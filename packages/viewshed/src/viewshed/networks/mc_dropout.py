@@ -1,4 +1,4 @@
-"""Monte Carlo dropout (Gal and Ghahramani 2016): mean and standard deviation of a network over random masks."""
+"""Monte Carlo dropout (Gal and Ghahramani 2016): mean and standard deviation of a network over masks."""
 
 from __future__ import annotations
 
