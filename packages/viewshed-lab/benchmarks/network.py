@@ -67,8 +67,8 @@ On {sweeps} simulated sweeps of `{preset}` against {truth}, over the cells whose
 beams. Balanced masks, those of `mc_dropout`, drop each channel in the same share of the passes; independent ones are
 each drawn by itself, as the paper has it. F1 is that of the mean over the passes; one pass has dropout off.
 Off: root mean square of what the mean is off that over {many} passes in float32. Correlation: of the deviation with
-theirs. **Ten balanced passes stand for twenty independent ones** if they are off by no more, and their F1 is within .002
-of that of {many} passes in float32: they do{verdict}."""
+theirs. **Ten balanced passes stand for twenty independent ones** if they are off by no more, and their F1 is within
+.002 of that of {many} passes in float32: they do{verdict}."""
 
 
 def main() -> None:
