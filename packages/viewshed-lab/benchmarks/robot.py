@@ -25,6 +25,7 @@ from benchmarks.processes import VIEWSHED, alone
 from benchmarks.soak import memory_mb
 from viewshed.estimators import load_estimator
 from viewshed.estimators.temporal import SweepBuffer
+from viewshed.estimators.unet import PASSES
 from viewshed.geometry import Rigid
 from viewshed.monitor import StreamMonitor
 from viewshed.pipeline import Pipeline, prepare_process
@@ -86,12 +87,12 @@ def main() -> None:
     print(content)
 
 
-_NODE_TEXT = """From publishing a cloud to receiving `visibility`, in two processes, default QoS. *Under way* is how
+_NODE_TEXT = f"""From publishing a cloud to receiving `visibility`, in two processes, default QoS. *Under way* is how
 many clouds are on their way at once; *dropped* are those that newer ones replaced before their turn, or that the
 profile of sensor data lost. The node keeps up with the highest rate at which at most 1 % is dropped.
 *Processor* is the time that the node's process uses for a sweep, all its threads together; it tells what a machine
-that others use would reach without them. `unet` (one pass) and `mc_dropout` (20) run the weights `road_int8`, all other
-rows the method of the profile `infrastructure`."""
+that others use would reach without them. `unet` (one pass) and `mc_dropout` ({PASSES}) run the weights `road_int8`, all
+other rows the method of the profile `infrastructure`."""
 _NODE_HEADER = [
     "sweep",
     "monitor",
