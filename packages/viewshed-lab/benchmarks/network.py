@@ -96,10 +96,11 @@ def main() -> None:
     rows = rows_of(timings, card.shape.flops(card.grid.cells))
     if chosen.only:
         return
-    # Drawn weights have no F1 to lose.
-    runners = {"float32": OnnxRunner(path, chosen.threads)}
-    runners |= {each: load_runner(each, chosen.threads) for each in chosen.beside.split(",") if each}
-    fewer = [] if chosen.weights is None or not card.shape.dropout else fewer_passes(runners)
+    fewer: list[str] = []
+    if chosen.weights is not None and card.shape.dropout:  # drawn weights have no F1 to lose
+        runners = {"float32": OnnxRunner(path, chosen.threads)}
+        runners |= {each: load_runner(each, chosen.threads) for each in chosen.beside.split(",") if each}
+        fewer = fewer_passes(runners)
     libraries = ("numpy", "onnxruntime", "torch")
     about = facts(
         libraries=", ".join(f"{name} {metadata.version(name)}" for name in libraries),
@@ -200,47 +201,42 @@ def mask_job(runner: Runner, sweep: Sweep, passes: int) -> Callable[[], object]:
 
 def fewer_passes(runners: Mapping[str, Runner], sweeps: int = SWEEPS) -> list[str]:
     """Return heading, words and table of what fewer passes cost; the first network, in float32, is the reference."""
-    whole = next(iter(runners.values()))
+    first, whole = next(iter(runners.items()))
     card = whole.card
     preset, exact = "ugv" if card.grid.half_extent_m < ROOM_M else "nuscenes", card.truth == "probe"
     drawn = [(BALANCED, passes) for passes in (1, *FEWER, PASSES)] + [(INDEPENDENT, PASSES)]
-    scores = {(name, *how): Scores() for name in runners for how in drawn}
-    score_of_many = Scores()
-    off: dict[tuple[str, str, int], list[F32]] = {key: [] for key in scores}
-    deviations: dict[tuple[str, str, int], list[F32]] = {key: [] for key in scores}
-    reference: list[F32] = []
+    reference = first, BALANCED, MANY
+    keys = [reference, *((name, *how) for name in runners for how in drawn)]
+    scores = {key: Scores() for key in keys}
+    means: dict[tuple[str, str, int], list[F32]] = {key: [] for key in keys}
+    deviations: dict[tuple[str, str, int], list[F32]] = {key: [] for key in keys}
     for number in range(sweeps):
         sample = sample_of(preset, number, sweeps, SEED)
         truth = Reference.exact(sample) if exact else Reference.label(sample, card.grid)
         if truth.grid != card.grid:
             raise ValueError(f"weights must be for the grid of the preset {preset}, {truth.grid}, got {card.grid}")
-        known = truth.known
-        mean_of_many, std_of_many = mean_and_deviation(
-            whole.run(whole.card.input_of(sample.sweep)[None], masks_of(card, BALANCED, MANY, number))
-        )
-        reference.append(std_of_many[known])
-        score_of_many.add(mean_of_many[known], truth.visible[known])
-        for (name, way, passes), score in scores.items():
-            runner = runners[name]
+        inputs = {name: runner.card.input_of(sample.sweep)[None] for name, runner in runners.items()}
+        for key in keys:
+            name, way, passes = key
             masks = None if passes == 1 else masks_of(card, way, passes, number)
-            mean, std = mean_and_deviation(runner.run(runner.card.input_of(sample.sweep)[None], masks))
-            score.add(mean[known], truth.visible[known])
-            off[name, way, passes].append((mean - mean_of_many)[known])
-            deviations[name, way, passes].append(std[known])
-    of_many = np.concatenate(reference)
+            mean, std = mean_and_deviation(runners[name].run(inputs[name], masks))
+            scores[key].add(mean[truth.known], truth.visible[truth.known])
+            means[key].append(mean[truth.known])
+            deviations[key].append(std[truth.known])
+    mean_of, std_of = ({key: np.concatenate(each) for key, each in maps.items()} for maps in (means, deviations))
     f1 = {key: score.f1(card.threshold) for key, score in scores.items()}
-    f1_of_many = score_of_many.f1(card.threshold)
-    rms = {key: float(np.sqrt(np.mean(np.square(np.concatenate(each))))) for key, each in off.items()}
-    rows = [
-        [name, "–" if passes == 1 else way, str(passes), f"{f1[name, way, passes]:.4f}",
-         f"{rms[name, way, passes]:.4f}",
-         "–" if passes == 1 else
-         f"{np.corrcoef(np.concatenate(deviations[name, way, passes]), of_many)[0, 1]:.3f}"]
-        for name, way, passes in scores
-    ]  # fmt: skip
-    rows.insert(0, [next(iter(runners)), BALANCED, str(MANY), f"{f1_of_many:.4f}", "–", "–"])
-    ten, twenty = [(name, BALANCED, 10) for name in runners], [(name, INDEPENDENT, PASSES) for name in runners]
-    same = all(rms[a] <= rms[b] and abs(f1[a] - f1_of_many) <= 0.002 for a, b in zip(ten, twenty, strict=True))
+    off = {key: float(np.sqrt(np.mean(np.square(mean_of[key] - mean_of[reference])))) for key in keys}
+    rows = []
+    for key in keys:
+        name, way, passes = key
+        apart = "–" if key == reference else f"{off[key]:.4f}"
+        alike = "–" if passes in (1, MANY) else f"{np.corrcoef(std_of[key], std_of[reference])[0, 1]:.3f}"
+        rows.append([name, "–" if passes == 1 else way, str(passes), f"{f1[key]:.4f}", apart, alike])
+    same = all(
+        off[name, BALANCED, 10] <= off[name, INDEPENDENT, PASSES]
+        and abs(f1[name, BALANCED, 10] - f1[reference]) <= 0.002
+        for name in runners
+    )
     words = FEWER_TEXT.format(
         sweeps=sweeps, preset=preset, truth="exact truth" if exact else "the paper's label", many=MANY,
         verdict="" if same else " **not**",
