@@ -46,10 +46,10 @@ imports: $(VENV)/.test
 	$(BIN)/lint-imports
 
 quick: $(VENV)/.test
-	$(PYTEST) -m "not slow"
+	$(PYTEST) -m "not slow and not docs"
 
 unit: $(VENV)/.test
-	$(PYTEST)
+	$(PYTEST) -m "not docs"
 
 properties: $(VENV)/.test  ## the property tests with new examples, drawn by chance
 	VIEWSHED_HYPOTHESIS=random $(PYTEST) -m hypothesis

@@ -188,11 +188,12 @@ def test_notebooks_are_clean() -> None:
         assert notebook.stat().st_size < 600_000
 
 
-@pytest.mark.slow
+@pytest.mark.docs
 @pytest.mark.parametrize("notebook", NOTEBOOKS, ids=lambda path: path.stem)
 def test_notebooks_run_and_say_the_same(notebook: Path) -> None:
     """Runs a notebook in a kernel of its own and compares what it prints with what is stored."""
-    nbformat, nbclient = pytest.importorskip("nbformat"), pytest.importorskip("nbclient")
+    nbformat = pytest.importorskip("nbformat", reason="needs the extra docs")
+    nbclient = pytest.importorskip("nbclient", reason="needs the extra docs")
     stored = nbformat.read(notebook, as_version=4)
     fresh = nbclient.NotebookClient(nbformat.read(notebook, as_version=4), timeout=300).execute()
     kept = [k for k, cell in enumerate(stored.cells) if "varies" not in cell.metadata.get("tags", [])]

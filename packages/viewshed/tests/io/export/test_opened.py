@@ -138,7 +138,7 @@ def test_geojson_in_a_reference_system_keeps_to_rfc_7946() -> None:
 
 def opened_by_geopandas(path: Path, *arguments: str) -> list[Any]:
     """Return type of the reference system, its EPSG code, the bounds and the areas that geopandas reads."""
-    pytest.importorskip("geopandas", reason="needs the extra test")
+    pytest.importorskip("geopandas", reason="needs the extra docs")
     words = [sys.executable, "-c", GEOPANDAS, str(path), *arguments]
     done = subprocess.run(words, check=False, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
@@ -146,6 +146,7 @@ def opened_by_geopandas(path: Path, *arguments: str) -> list[Any]:
     return read
 
 
+@pytest.mark.docs
 def test_geopandas_opens_meters_as_meters(tmp_path: Path) -> None:
     estimate = random_estimate(10)
     write_export(estimate, "geojson", tmp_path / "fov.geojson")
@@ -154,6 +155,7 @@ def test_geopandas_opens_meters_as_meters(tmp_path: Path) -> None:
     assert areas_m2[0] == pytest.approx(estimate.area_m2())
 
 
+@pytest.mark.docs
 def test_geopandas_opens_a_reference_system_in_its_place(tmp_path: Path) -> None:
     estimate = random_estimate(11, pose=HAMBURG)
     write_export(estimate, "geojson", tmp_path / "fov.geojson", crs="EPSG:25832")
