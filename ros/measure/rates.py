@@ -31,7 +31,7 @@ from viewshed_ros.nav2 import SpeedLimits
 
 AGENTS = 10
 NETWORKS = ("unet", "mc_dropout")
-"""Methods that are networks: one pass, and twenty."""
+"""Methods that are networks: one pass, and several."""
 
 UNDER_WAY = (1, 2, 3)
 """Of one sensor at a time: with three, one for each thread that works and one that waits."""

@@ -33,6 +33,7 @@ REFUSED = {
     "study paper --protocol loose": "protocol must be among paper, strict, got 'loose'",
     "study robustness --preset nonsense": "preset must be one of full, small, tiny, got 'nonsense'",
     "study robustness --preset tiny --no-run": "must hold results, got none; run without --no-run$",
+    "study guarantees --preset tiny --no-run": "must hold results, got none; run without --no-run$",
     "dataset info .": r"^viewshed: \S+ must be a data set of viewshed, but has no manifest\.json$",
 }  # fmt: skip
 """Command line, with SET for a data set → what its line must say."""

@@ -172,6 +172,8 @@ def fit(
     """Return the history of a training, whose checkpoint, weights, table and picture are in ``out``."""
     if not is_finished(history, config):
         out.mkdir(parents=True, exist_ok=True)
+        for name in (WEIGHTS, CURVES):  # of a training whose checkpoint was deleted
+            (out / name).unlink(missing_ok=True)
         loaders = Loaders(frames, config, machines)
         learner = Learner(config, loaders.steps, on_progress)
         with silenced(), leave_cores_to_workers(config.workers):

@@ -160,9 +160,9 @@ def _under_attack(
             found[row.method].append((row.over.value, row.under.value))
     rows = []
     for method, rates in found.items():
-        growth = np.nanmax(np.array(rates) - np.array(rates[0]))
+        grown = [more for more in (np.array(rates) - rates[0]).ravel().tolist() if not isnan(more)]
         cells = [" / ".join(format_number(rate, 3) for rate in pair) for pair in rates]
-        rows.append([method, *cells, f"{growth:+.3f}"])
+        rows.append([method, *cells, f"{max(grown):+.3f}" if grown else "–"])
     return Table(["estimator", "untouched", *attacks, "grows by"], rows)
 
 
