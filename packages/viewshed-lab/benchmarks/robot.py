@@ -93,17 +93,9 @@ profile of sensor data lost. The node keeps up with the highest rate at which at
 that others use would reach without them. `unet` (one pass) and `mc_dropout` ({PASSES}) run the weights `road_int8`, all
 other rows the method of the profile `infrastructure`."""
 _NODE_HEADER = [
-    "sweep",
-    "monitor",
-    "under way",
-    "Hz",
-    "median, ms",
-    "99 %, ms",
-    "worst, ms",
-    "processor, ms",
-    "memory, MB",
+    "sweep", "monitor", "under way", "Hz", "median, ms", "99 %, ms", "worst, ms", "processor, ms", "memory, MB",
     "dropped",
-]
+]  # fmt: skip
 
 _TOPICS_TEXT = """What making and serializing a message of each topic costs on the 35k sweep, the estimate not counted;
 a topic that nobody subscribes to costs nothing."""

@@ -90,8 +90,8 @@ def _draw(config: TrainConfig, count: int) -> Iterator[TrainingSample]:
         source, numbers = TrainingFrames(_NewScenes(config, count), config), np.arange(count) * _STEP
     else:
         source = TrainingFrames(archived_samples(config), config)
-        if len(source) < count:
-            raise ValueError(f"frames must be at most {len(source) // 2}, half of the sweeps in the data, got {count // 2}")
+        if (most := len(source) // 2) < count // 2:
+            raise ValueError(f"frames must be at most {most}, half of the sweeps in the data, got {count // 2}")
         spread = np.linspace(0, len(source) - 1, count).astype(np.intp)
         numbers = np.random.default_rng(config.seed).permutation(spread)
     return (source.draw(_EPOCH, int(number)) for number in numbers)
