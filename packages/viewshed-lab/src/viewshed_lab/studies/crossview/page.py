@@ -31,7 +31,7 @@ from viewshed_lab.studies.crossview.rates import (
 from viewshed_lab.studies.crossview.simulated import evaluate_floor
 from viewshed_lab.studies.formatting import format_number, lines
 from viewshed_lab.studies.pages import Table, fill_template
-from viewshed_lab.studies.plan import check_names
+from viewshed_lab.studies.plan import check_names, check_seed
 from viewshed_lab.threats.attacks import ATTACKS, Knowledge
 
 POINTS = 150
@@ -81,6 +81,7 @@ def page_of(
     in a simulation. ``seed`` is that of the bootstrap.
     """
     check_names("attacks", attacks, ATTACKS)
+    check_seed("seed", seed)
     found, own = posed_scenes(index), list[CrossViewRow]()
     if floor:
         few = {one: estimators[one] for one in estimators if one in ("shadow_map", "majority_vote", "first_blocker")}
