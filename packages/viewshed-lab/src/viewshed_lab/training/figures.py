@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
-
-from viewshed_lab.studies.figures import png_of
+from PIL import Image
 
 if TYPE_CHECKING:
     from viewshed_lab.training.log import Epoch
@@ -28,7 +29,7 @@ def curve_figure(name: str, history: Sequence[Epoch]) -> bytes:
     _lines(scores, history, {"f1": _F1, "iou": _IOU}, best)
     losses.set_title(f"{name}: loss", fontsize=9)
     scores.set_title("validation scores", fontsize=9)
-    return png_of(figure, _COLORS)
+    return _png(figure)
 
 
 def fold_figure(name: str, values: Mapping[str, Sequence[float]], chosen: str) -> bytes:
@@ -44,7 +45,7 @@ def fold_figure(name: str, values: Mapping[str, Sequence[float]], chosen: str) -
     axis.set_ylabel("F1 of the held-out scenes", fontsize=8)
     axis.set_title(f"{name}: {len(next(iter(values.values())))} folds by scene", fontsize=9)
     _grid(axis)
-    return png_of(figure, _COLORS)
+    return _png(figure)
 
 
 def convergence_figure(curves: Mapping[str, Sequence[Sequence[float]]]) -> bytes:
@@ -63,7 +64,7 @@ def convergence_figure(curves: Mapping[str, Sequence[Sequence[float]]]) -> bytes
         axis.set_visible(False)
     figure.supxlabel("epoch", fontsize=8)
     figure.supylabel("validation loss", fontsize=8)
-    return png_of(figure, _COLORS)
+    return _png(figure)
 
 
 def _lines(axis: Axes, history: Sequence[Epoch], columns: Mapping[str, str], best: Epoch) -> None:
@@ -82,3 +83,11 @@ def _grid(axis: Axes) -> None:
     axis.tick_params(labelsize=7)
     axis.grid(axis="y", linewidth=0.4, color="#cccccc")
     axis.set_axisbelow(True)
+
+
+def _png(figure: Figure) -> bytes:
+    drawn, buffer = io.BytesIO(), io.BytesIO()
+    FigureCanvasAgg(figure)
+    figure.savefig(drawn, format="png")
+    Image.open(drawn).convert("RGB").quantize(_COLORS, dither=Image.Dither.NONE).save(buffer, "png", optimize=True)
+    return buffer.getvalue()
