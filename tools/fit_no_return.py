@@ -200,8 +200,8 @@ def fit(given: argparse.Namespace) -> None:
     for step, loss in descend(net, RATE, 1e-4, given.steps, loss_of):
         if step % 500 == 0 or step == given.steps:
             with torch.no_grad():
-                held = -float(_likelihood(net, tensors, other).mean())
-            print(f"step {step}: {float(loss):.3f}, held {held:.3f}", flush=True)
+                held_loss = -float(_likelihood(net, tensors, other).mean())
+            print(f"step {step}: {float(loss):.3f}, held {held_loss:.3f}", flush=True)
     given.out.write_text(source_of(net.arrays()), encoding="ascii")
     report(net, tensors, report_rows)
 
