@@ -198,6 +198,23 @@ def test_a_page_is_older_once_a_file_of_its_has_changed(repository: Callable[...
     assert INDEX.OLDER not in INDEX.overview(folder)
 
 
+def test_a_page_names_the_commit_of_its_own_checkout_and_no_folder(
+    repository: Callable[..., str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "packages").mkdir()
+    (tmp_path / "packages/a.py").write_text("A = 1\n")
+    repository("add", ".")
+    repository("commit", "-qm", "two")
+    assert re.fullmatch("[0-9a-f]+", _page.commit_of(tmp_path))
+    assert _page.commit_of(tmp_path / "packages") == "unknown"  # an installed package within somebody's repository
+    (tmp_path / "packages/a.py").write_text("A = 2\n")
+    assert _page.commit_of(tmp_path).endswith(" with local changes")
+    monkeypatch.setattr("sys.argv", ["/bin/viewshed", "study", "--out=/home/a/b", "/home/a/c.json", "--seed=3", "d/e"])
+    assert "study --out=b c.json --seed=3 d/e`" in _page.facts()["command"]
+    monkeypatch.setenv("PATH", "")
+    assert _page.commit_of(tmp_path) == "unknown"  # no git
+
+
 def test_a_page_that_was_older_before_stays_so(repository: Callable[..., str], tmp_path: Path) -> None:
     folder = tmp_path / "docs/results"
     (tmp_path / "src/viewshed/a.py").write_text("A = 2\n")

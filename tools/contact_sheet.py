@@ -65,16 +65,8 @@ def _estimated(entry: IndexEntry, grid: str, name: str) -> tuple[list[str], Pane
     height = f"{leveled.sensor_height_m:.2f}" + ("" if leveled.ground.support else " (ground not seen)")
     shares = [f"{found.share(state):.0%}" for state in (CellState.HIDDEN, CellState.UNKNOWN)]
     row = [
-        name,
-        entry.sensor,
-        grid,
-        str(len(sweep)),
-        f"{found.area_m2():.0f}",
-        *shares,
-        height,
-        tilt,
-        f"{elapsed_ms:.1f}",
-    ]
+        name, entry.sensor, grid, str(len(sweep)), f"{found.area_m2():.0f}", *shares, height, tilt, f"{elapsed_ms:.1f}",
+    ]  # fmt: skip
     short = entry.file.name.replace("__LIDAR_TOP__", " ")
     return row, Panel(found, f"{short[-22:]}\n{found.area_m2():.0f} m²")
 

@@ -374,13 +374,9 @@ def _print(command: str, folder: Path) -> str:
     """Run a command ``viewshed …`` in a folder; return what it prints, without the folder's path."""
     program = [sys.executable, "-c", "import sys; from viewshed.cli import main; sys.argv[0] = 'viewshed'; main()"]
     done = subprocess.run(
-        [*program, *shlex.split(command)[1:]],
-        cwd=folder,
-        check=True,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
+        [*program, *shlex.split(command)[1:]], cwd=folder, check=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
         text=True,
-    )
+    )  # fmt: skip
     return done.stdout.replace(f"{folder}/", "")
 
 

@@ -61,13 +61,9 @@ class Home:
         env = {"HOME": str(self.folder), "PATH": self.path, "LANG": "C.UTF-8", "TERM": "xterm"}
         self._ours, theirs = pty.openpty()
         self._shell = subprocess.Popen(
-            ["bash", "--noprofile", "--norc"],
-            cwd=self.folder,
-            env=env,
-            stdin=subprocess.PIPE,
-            stdout=theirs,
+            ["bash", "--noprofile", "--norc"], cwd=self.folder, env=env, stdin=subprocess.PIPE, stdout=theirs,
             stderr=theirs,
-        )
+        )  # fmt: skip
         os.close(theirs)
         return self
 

@@ -26,6 +26,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import torch
+from fit_no_return import descend, make_files, parser_of, parts_in, write_part
 from torch import nn
 from torch.nn import functional
 
@@ -65,7 +66,7 @@ STYLES = "Claims by style of the world, all scenes of a style together, rings gi
 FAR_M = 64.0
 """Beyond this lie the corners of the road grid alone."""
 
-SCENES_OF_FILE, CELLS_OF_SWEEP, BATCH, RATE, DECAY, UNITS = 10, 400, 4096, 8e-3, 0.05, 16
+CELLS_OF_SWEEP, BATCH, RATE, DECAY, UNITS = 400, 4096, 8e-3, 0.05, 16
 HELD_SHARE = 0.12
 MOST_SWEEP_DEVIATIONS = 2.0
 """At which features of the sweep are cut off, as in the core."""
@@ -93,10 +94,7 @@ def make_file(folder: Path, scenes: list[WildScene]) -> None:
                     maps = cell_features(leveled, beam_evidence(leveled, grid, target))
                     features.append(maps.reshape(len(maps), -1)[:, some].T)
                     visible.append(seen.truth.visible(target).ravel()[some])
-    part = path.with_suffix(".part.npz")
-    np.savez(part, feature=np.concatenate(features), visible=np.concatenate(visible))
-    part.replace(path)
-    print(path.name, sum(map(len, visible)), flush=True)
+    write_part(path, feature=np.concatenate(features), visible=np.concatenate(visible))
 
 
 class CalibrationNet(nn.Module):
@@ -135,7 +133,7 @@ class CalibrationNet(nn.Module):
 
 def fit(given: argparse.Namespace) -> None:
     """Fit the network to all cells of a folder, write it, and print how well it is calibrated on scenes held back."""
-    paths = [path for path in sorted(given.folder.glob("*-[0-9]*.npz")) if ".part" not in path.name]
+    paths = parts_in(given.folder)
     files = [np.load(path) for path in paths]
     feature = torch.tensor(np.concatenate([file["feature"] for file in files]))
     visible = torch.tensor(np.concatenate([file["visible"] for file in files]).astype(np.float32))
@@ -150,16 +148,14 @@ def fit(given: argparse.Namespace) -> None:
     torch.manual_seed(0)
     torch.set_num_threads(1)
     net = CalibrationNet(feature[own].mean(0), 1.0 / feature[own].std(0).clamp_min(1e-3))
-    optimizer = torch.optim.AdamW(net.parameters(), RATE, weight_decay=DECAY)
-    schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, RATE, given.steps)
-    for _ in range(given.steps):
+
+    def loss() -> torch.Tensor:
         rows = own[torch.randint(len(own), (BATCH,))]
         losses = functional.binary_cross_entropy_with_logits(net(feature[rows]), visible[rows], reduction="none")
-        loss = (losses * weight[rows]).mean()
-        optimizer.zero_grad()
-        loss.backward()
-        optimizer.step()
-        schedule.step()
+        return (losses * weight[rows]).mean()
+
+    for _ in descend(net, RATE, DECAY, given.steps, loss):
+        pass
     given.out.write_text(net.source(), encoding="ascii")
     with torch.no_grad():
         said, there = torch.sigmoid(net(feature[held])).numpy(), visible[held].numpy()
@@ -275,29 +271,12 @@ def make(given: argparse.Namespace) -> None:
     domain = next(one for one in wild_tables().of_set(given.set) if one.name == given.domain)
     if given.set == "own" and first < domain.scenes:
         raise SystemExit(f"--scenes must begin at {domain.scenes} or later for own: those before are judged")
-    scenes = [WildScene(domain, number) for number in range(first, last)]
-    given.out.mkdir(parents=True, exist_ok=True)
-    for at in range(0, len(scenes), SCENES_OF_FILE):
-        make_file(given.out, scenes[at : at + SCENES_OF_FILE])
+    make_files(given.out, [WildScene(domain, number) for number in range(first, last)], make_file)
 
 
 def main(words: Sequence[str] | None = None) -> None:
     """Do what the command line says."""
-    parser = argparse.ArgumentParser(
-        prog="fit_calibration.py", description=__doc__, formatter_class=argparse.RawTextHelpFormatter
-    )
-    steps = parser.add_subparsers(required=True)
-    step = steps.add_parser("make")
-    step.set_defaults(work=make)
-    step.add_argument("set", choices=("learning", "training", "own"))
-    step.add_argument("domain", nargs="?", default="road")
-    step.add_argument("--scenes", default="0:60", help="from : to")
-    step.add_argument("--out", type=Path, required=True)
-    step = steps.add_parser("fit")
-    step.set_defaults(work=fit)
-    step.add_argument("folder", type=Path)
-    step.add_argument("--steps", type=int, default=6000)
-    step.add_argument("--out", type=Path, required=True)
+    parser, steps = parser_of("fit_calibration.py", __doc__, ("learning", "training", "own"), make, fit)
     step = steps.add_parser("judge")
     step.set_defaults(work=judge)
     step.add_argument("--page", type=Path, required=True)

@@ -12,13 +12,14 @@ validation, and writes the network as C++, which is compiled into the core. The 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import nn
 
 from viewshed.arrays import Mask
 from viewshed.preprocess.leveling import LeveledSweep, level
@@ -32,6 +33,8 @@ from viewshed_lab.training.no_return import (
     source_of,
     within_windows,
 )
+
+Work = Callable[[argparse.Namespace], None]
 
 SCENES_OF_FILE, GROUPS_OF_SWEEP, BATCH, RATE = 10, 400, 2048, 3e-3
 HELD_SHARE = 0.12
@@ -78,12 +81,21 @@ def make_file(folder: Path, scenes: list[WildScene]) -> None:
                 clean.append(np.full(len(some), is_whole))
     if not rows:
         return
-    part = path.with_suffix(".part.npz")
     together = (np.concatenate(column) for column in zip(*rows, strict=True))
-    columns: dict[str, Any] = dict(zip(Samples._fields, together, strict=True))
-    np.savez(part, clean=np.concatenate(clean), **columns)
+    write_part(path, clean=np.concatenate(clean), **dict(zip(Samples._fields, together, strict=True)))
+
+
+def write_part(path: Path, **columns: NDArray[Any]) -> None:
+    """Write columns of equal length into a file, whole or not at all."""
+    part = path.with_suffix(".part.npz")
+    np.savez(part, **columns)  # type: ignore[arg-type]
     part.replace(path)
-    print(path.name, len(columns["end"]), flush=True)
+    print(path.name, len(next(iter(columns.values()))), flush=True)
+
+
+def parts_in(folder: Path) -> list[Path]:
+    """Return the files of a folder, in order."""
+    return [path for path in sorted(folder.glob("*-[0-9]*.npz")) if ".part" not in path.name]
 
 
 def without_absorbed(leveled: LeveledSweep, rng: np.random.Generator) -> Mask:
@@ -142,15 +154,34 @@ def with_cover(sweep: Sweep, rng: np.random.Generator) -> tuple[Sweep, Mask, NDA
 def make(given: argparse.Namespace) -> None:
     """Write the samples of a set."""
     first, last = map(int, given.scenes.split(":"))
-    scenes = wild_scenes(given.set, given.domain)[first:last]
-    given.out.mkdir(parents=True, exist_ok=True)
+    make_files(given.out, wild_scenes(given.set, given.domain)[first:last], make_file)
+
+
+def make_files(folder: Path, scenes: list[WildScene], make_one: Callable[[Path, list[WildScene]], None]) -> None:
+    """Make the files of scenes, some in each."""
+    folder.mkdir(parents=True, exist_ok=True)
     for at in range(0, len(scenes), SCENES_OF_FILE):
-        make_file(given.out, scenes[at : at + SCENES_OF_FILE])
+        make_one(folder, scenes[at : at + SCENES_OF_FILE])
+
+
+def descend(
+    net: nn.Module, rate: float, decay: float, steps: int, loss_of: Callable[[], torch.Tensor]
+) -> Iterator[tuple[int, torch.Tensor]]:
+    """Fit a network in one cycle of the learning rate; yield the number of each step that is done, from 1, and loss."""
+    optimizer = torch.optim.AdamW(net.parameters(), rate, weight_decay=decay)
+    schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, rate, steps)
+    for step in range(1, steps + 1):
+        loss = loss_of()
+        optimizer.zero_grad()
+        loss.backward()
+        optimizer.step()
+        schedule.step()
+        yield step, loss
 
 
 def fit(given: argparse.Namespace) -> None:
     """Fit a network to all samples of a folder, and write it."""
-    files = [np.load(path) for path in sorted(given.folder.glob("*-[0-9]*.npz")) if ".part" not in path.name]
+    files = [np.load(path) for path in parts_in(given.folder)]
     columns = {name: np.concatenate([file[name] for file in files]) for name in Samples._fields}
     held = np.concatenate([np.arange(len(file["end"])) >= (1 - HELD_SHARE) * len(file["end"]) for file in files])
     tensors = {name: torch.tensor(column.astype(np.float32)) for name, column in columns.items()}
@@ -162,21 +193,15 @@ def fit(given: argparse.Namespace) -> None:
     mean, std = tensors["feature"][own].mean(0), tensors["feature"][own].std(0)
     report_rows = torch.tensor(np.flatnonzero(held & clean))
     net = NoReturnNet(mean, 1.0 / std.clamp_min(1e-3), tensors["stop"].shape[1])
-    optimizer = torch.optim.AdamW(net.parameters(), RATE, weight_decay=1e-4)
-    schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, RATE, given.steps)
-    for step in range(1, given.steps + 1):
-        rows = own[torch.multinomial(weight, BATCH, replacement=True)]
-        loss = -_likelihood(net, tensors, rows).mean()
-        optimizer.zero_grad()
-        loss.backward()
-        optimizer.step()
-        schedule.step()
+
+    def loss_of() -> torch.Tensor:
+        return -_likelihood(net, tensors, own[torch.multinomial(weight, BATCH, replacement=True)]).mean()
+
+    for step, loss in descend(net, RATE, 1e-4, given.steps, loss_of):
         if step % 500 == 0 or step == given.steps:
             with torch.no_grad():
-                print(
-                    f"step {step}: {float(loss):.3f}, held {-float(_likelihood(net, tensors, other).mean()):.3f}",
-                    flush=True,
-                )
+                held_loss = -float(_likelihood(net, tensors, other).mean())
+            print(f"step {step}: {float(loss):.3f}, held {held_loss:.3f}", flush=True)
     given.out.write_text(source_of(net.arrays()), encoding="ascii")
     report(net, tensors, report_rows)
 
@@ -203,13 +228,17 @@ def _likelihood(net: NoReturnNet, tensors: dict[str, torch.Tensor], rows: torch.
 
 def main(words: Sequence[str] | None = None) -> None:
     """Do what the command line says."""
-    parser = argparse.ArgumentParser(
-        prog="fit_no_return.py", description=__doc__, formatter_class=argparse.RawTextHelpFormatter
-    )
+    given = parser_of("fit_no_return.py", __doc__, ("learning", "training"), make, fit)[0].parse_args(words)
+    given.work(given)
+
+
+def parser_of(prog: str, about: str | None, sets: Sequence[str], make: Work, fit: Work) -> tuple[Any, Any]:
+    """Return the parser of a tool that makes samples and fits a network to them, and what adds further steps."""
+    parser = argparse.ArgumentParser(prog=prog, description=about, formatter_class=argparse.RawTextHelpFormatter)
     steps = parser.add_subparsers(required=True)
     step = steps.add_parser("make")
     step.set_defaults(work=make)
-    step.add_argument("set")
+    step.add_argument("set", choices=sets)
     step.add_argument("domain", nargs="?", default="road")
     step.add_argument("--scenes", default="0:60", help="from : to")
     step.add_argument("--out", type=Path, required=True)
@@ -218,8 +247,7 @@ def main(words: Sequence[str] | None = None) -> None:
     step.add_argument("folder", type=Path)
     step.add_argument("--steps", type=int, default=6000)
     step.add_argument("--out", type=Path, required=True)
-    given = parser.parse_args(words)
-    given.work(given)
+    return parser, steps
 
 
 if __name__ == "__main__":

@@ -106,16 +106,8 @@ def opv2v() -> Files:
 def carla() -> Files:
     """Return one sweep of a CARLA recording with pose, sensor and actor."""
     actor = {
-        "id": 3,
-        "type": "vehicle",
-        "x": 8,
-        "y": 3,
-        "z": 0.7,
-        "roll": 0,
-        "pitch": 0,
-        "yaw": 30,
-        "extent": [2, 1, 1],
-    }
+        "id": 3, "type": "vehicle", "x": 8, "y": 3, "z": 0.7, "roll": 0, "pitch": 0, "yaw": 30, "extent": [2, 1, 1],
+    }  # fmt: skip
     beams = {"channels": 4, "upper_fov_deg": 10, "lower_fov_deg": -20, "range_m": 80, "points_per_second": 16000}
     sensor = {"sensor_height_m": 2.0, "lidar": beams | {"rotation_hz": 10}}
     return {

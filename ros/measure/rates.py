@@ -16,7 +16,9 @@ from typing import Any
 
 import numpy as np
 import rclpy
-from load import Load, Stream, cloud_bytes, memory_mb, processor_s, running_node, scan_bytes
+from benchmarks.damage import cloud_of
+from benchmarks.soak import memory_mb
+from load import Load, Stream, message_of, processor_s, running_node, scan_bytes
 from rclpy.serialization import serialize_message
 
 from viewshed.estimators import load_estimator
@@ -31,7 +33,7 @@ from viewshed_ros.nav2 import SpeedLimits
 
 AGENTS = 10
 NETWORKS = ("unet", "mc_dropout")
-"""Methods that are networks: one pass, and twenty."""
+"""Methods that are networks: one pass, and several."""
 
 UNDER_WAY = (1, 2, 3)
 """Of one sensor at a time: with three, one for each thread that works and one that waits."""
@@ -52,7 +54,7 @@ def main() -> None:
 
 
 def _measured(folder: Path, seconds: float) -> Iterator[dict[str, Any]]:
-    clouds = {name: cloud_bytes(_sweep(folder / f"{name}.npz")) for name in ("35k", "120k", "VLP-16")}
+    clouds = {name: message_of(cloud_of(_sweep(folder / f"{name}.npz"))) for name in ("35k", "120k", "VLP-16")}
     with np.load(folder / "scan.npz") as laser:
         scan = scan_bytes(laser["ranges_m"], float(laser["field_of_view"]), float(laser["range_max_m"]))
     for monitor in ("never", "always"):

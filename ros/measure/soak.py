@@ -11,13 +11,12 @@ import json
 import subprocess
 import sys
 import time
-from array import array
 from collections import Counter
 from pathlib import Path
 
 import numpy as np
 import rclpy
-from benchmarks.damage import DAMAGES, Cloud, cloud_of
+from benchmarks.damage import DAMAGES, cloud_of
 from benchmarks.soak import (
     CLOCKS,
     LINES,
@@ -35,9 +34,7 @@ from benchmarks.soak import (
 from diagnostic_msgs.msg import DiagnosticArray
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
-from load import Load, Stream, running_node, stamped
-from rclpy.serialization import serialize_message
-from sensor_msgs.msg import PointCloud2, PointField
+from load import Load, Stream, message_of, running_node, stamped
 
 from viewshed.pipeline.latency import Latencies
 from viewshed.sweep import Sweep
@@ -66,21 +63,6 @@ def main() -> None:
     print(json.dumps({
         "seconds": found.seconds, "restarts": found.restarts, "kinds": kinds, "log": found.log, "faults": found.faults,
     }))  # fmt: skip
-
-
-def message_of(cloud: Cloud) -> bytes:
-    """Return a cloud serialized."""
-    message = PointCloud2(
-        height=cloud.height, width=cloud.width, point_step=cloud.point_step, row_step=cloud.row_step,
-        is_bigendian=cloud.is_bigendian, is_dense=True,
-    )  # fmt: skip
-    message.fields = [
-        PointField(name=field.name, offset=field.offset, datatype=field.datatype, count=field.count)
-        for field in cloud.fields
-    ]  # fmt: skip
-    message.header.frame_id = "lidar"
-    message.data = array("B", cloud.data.tobytes())
-    return bytes(serialize_message(message))
 
 
 class Soak:

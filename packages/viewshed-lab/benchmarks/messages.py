@@ -197,17 +197,11 @@ def message_of(view: FovEstimate, number: int, rng: np.random.Generator) -> View
     ])  # fmt: skip
     kinds, returns = rng.integers(0, 5, DETECTIONS, dtype=np.uint8), rng.integers(5, 900, DETECTIONS, dtype=np.int32)
     return ViewMessage(
-        agent="car1",
-        sequence=number,
-        t_ns=START_NS + STEP_NS * number,
-        frame="map",
+        agent="car1", sequence=number, t_ns=START_NS + STEP_NS * number, frame="map",
         world_from_level=Rigid.from_yaw(0.3, np.array([601_234.5, 5_300_000.25, 12.0])),
-        pose_covariance=np.diag([0.04, 0.04, 0.01, 1e-4, 1e-4, 4e-4]),
-        sensor=SensorFacts("HDL-32E", 1.84, 70.0),
-        view=view,
-        detections=Detections(boxes, kinds, returns),
-        report=IntegrityReport("benchmark", 1.0, 2.0, 0.3),
-    )
+        pose_covariance=np.diag([0.04, 0.04, 0.01, 1e-4, 1e-4, 4e-4]), sensor=SensorFacts("HDL-32E", 1.84, 70.0),
+        view=view, detections=Detections(boxes, kinds, returns), report=IntegrityReport("benchmark", 1.0, 2.0, 0.3),
+    )  # fmt: skip
 
 
 def view_rows(name: str, views: Sequence[FovEstimate]) -> list[Row]:

@@ -267,19 +267,8 @@ def rows_of(timings: Mapping[tuple[str, str], Timing], flops: int) -> list[list[
         verdict = "–" if target is None else "met" if 1e3 / each.median_ms >= target else "**missed**"
         low_high = f"{each.median_ms:.2f} ({each.low_ms:.2f}–{each.high_ms:.2f})"
         ratio = "–" if one is None else f"{each.median_ms / one.median_ms:.2f}"
-        what = name.removesuffix(f": {NONE}")
-        rows.append(
-            [
-                what,
-                size,
-                low_high,
-                f"{1e3 / each.median_ms:.0f}",
-                ratio,
-                rate,
-                "–" if target is None else f"≥ {target} Hz",
-                verdict,
-            ]
-        )
+        hz, aim = f"{1e3 / each.median_ms:.0f}", "–" if target is None else f"≥ {target} Hz"
+        rows.append([name.removesuffix(f": {NONE}"), size, low_high, hz, ratio, rate, aim, verdict])
         print(" | ".join(rows[-1]), flush=True)
     return rows
 

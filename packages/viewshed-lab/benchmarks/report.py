@@ -32,27 +32,16 @@ class Row:
         verdict = {True: "met", False: "**missed**", None: "–"}[self.met]
         ratios = "; ".join(f"{name} {_ratio(value / self.median_ms)} ×" for name, value in self.others_ms.items())
         return [
-            self.step,
-            self.size,
-            f"{_ms(self.median_ms)} ({_ms(self.low_ms)}–{_ms(self.high_ms)})",
-            "–" if self.floor_ms is None else _ms(self.floor_ms),
-            self.target or "–",
-            verdict,
-            ratios or "–",
+            self.step, self.size, f"{_ms(self.median_ms)} ({_ms(self.low_ms)}–{_ms(self.high_ms)})",
+            "–" if self.floor_ms is None else _ms(self.floor_ms), self.target or "–", verdict, ratios or "–",
             "–" if self.peak_mb is None else f"{self.peak_mb:.0f}",
-        ]
+        ]  # fmt: skip
 
 
 HEAD = [
-    "step",
-    "points",
-    "median, ms (10–90 %)",
-    "floor, ms",
-    "target",
-    "",
-    "time of the alternatives, as a multiple of ours",
-    "peak, MB",
-]
+    "step", "points", "median, ms (10–90 %)", "floor, ms", "target", "",
+    "time of the alternatives, as a multiple of ours", "peak, MB",
+]  # fmt: skip
 INTRODUCTION = """\
 Grid of 256 × 256 cells, one thread, medians in milliseconds with the 10th and 90th percentile. The alternatives are
 measured in the same run, interleaved with ours round by round in an order drawn anew, so the ratios hold better than

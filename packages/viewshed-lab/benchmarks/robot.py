@@ -37,7 +37,6 @@ from viewshed_lab.sim import cast, junction
 
 ROOT = Path(__file__).resolve().parents[3]
 PAGE = ROOT / "docs" / "results" / "robot.md"
-COSTMAP = PAGE.with_name("costmap.png")
 SEED = 20_261_123
 REPLAY_S, HZ = 30.0, 10.0
 MOST_DROPPED = 0.01
@@ -63,7 +62,7 @@ def main() -> None:
         replayed = _replay(folder)
         _write(sweeps, folder)
         node = _node(folder, chosen.seconds)
-    costmap = _costmap()
+    costmap = _costmap(chosen.page.with_name("costmap.png"))
     topics = [[f"`{each['topic']}`", f"{each['processor_ms']:.2f}"] for each in node if each["case"] == "topic"]
     profiles = [_profile_cost(name, profile, sweeps, chosen.sweeps) for name, profile in PROFILES.items()]
     source = "nuScenes and KITTI" if clouds.real() else "simulated, HDL-32E and HDL-64E"
@@ -94,17 +93,9 @@ profile of sensor data lost. The node keeps up with the highest rate at which at
 that others use would reach without them. `unet` (one pass) and `mc_dropout` ({PASSES}) run the weights `road_int8`, all
 other rows the method of the profile `infrastructure`."""
 _NODE_HEADER = [
-    "sweep",
-    "monitor",
-    "under way",
-    "Hz",
-    "median, ms",
-    "99 %, ms",
-    "worst, ms",
-    "processor, ms",
-    "memory, MB",
+    "sweep", "monitor", "under way", "Hz", "median, ms", "99 %, ms", "worst, ms", "processor, ms", "memory, MB",
     "dropped",
-]
+]  # fmt: skip
 
 _TOPICS_TEXT = """What making and serializing a message of each topic costs on the 35k sweep, the estimate not counted;
 a topic that nobody subscribes to costs nothing."""
@@ -260,9 +251,9 @@ def _histograms(node: Sequence[Found]) -> Iterator[str]:
             yield "\n".join([f"{found['case']}, {len(taken_ms)} clouds:", "", "```text", *lines, "```"])
 
 
-def _costmap() -> Found | None:
+def _costmap(picture: Path) -> Found | None:
     """Return the cells of a costmap that are cleared with and without the view, and draw them."""
-    command = [str(ROOT / "ros" / "python.sh"), str(ROOT / "ros" / "measure" / "costmap_picture.py"), str(COSTMAP)]
+    command = [str(ROOT / "ros" / "python.sh"), str(ROOT / "ros" / "measure" / "costmap_picture.py"), str(picture)]
     done = subprocess.run(command, check=False, capture_output=True, text=True)
     if done.returncode == 3:
         return None

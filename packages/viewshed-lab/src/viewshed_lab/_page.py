@@ -59,10 +59,15 @@ def table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 
 def _command() -> str:
     """The command as a reader would type it: no folder of this machine."""
-    words = [Path(word).name if Path(word).is_absolute() or word.startswith("..") else word for word in sys.argv]
     module = sys.modules["__main__"].__spec__
-    program = [Path(words[0]).name] if module is None else ["python", "-m", module.name.removesuffix(".__main__")]
-    return shlex.join([*program, *words[1:]])
+    program = [Path(sys.argv[0]).name] if module is None else ["python", "-m", module.name.removesuffix(".__main__")]
+    return shlex.join([*program, *map(_without_folder, sys.argv[1:])])
+
+
+def _without_folder(word: str) -> str:
+    option, sign, place = word.partition("=") if word.startswith("--") else ("", "", word)
+    is_elsewhere = Path(place).is_absolute() or place.startswith("..")
+    return f"{option}{sign}{Path(place).name if is_elsewhere else place}"
 
 
 def _processor() -> str:
@@ -78,7 +83,7 @@ def commit_of(checkout: Path) -> str:
     commit = _git(checkout, "rev-parse", "--short", "HEAD")
     if not commit:
         return "unknown"
-    changed = _git(checkout, "status", "--porcelain", "--untracked-files=no", "--", "src")
+    changed = _git(checkout, "status", "--porcelain", "--untracked-files=no", "--", "packages")
     return f"{commit} with local changes" if changed else commit
 
 
@@ -96,5 +101,10 @@ def sources_hash(paths: Sequence[str], commit: str = "") -> str:
 
 
 def _git(checkout: Path, *words: str) -> str:
-    done = subprocess.run(["git", *words], cwd=checkout, check=False, capture_output=True, text=True)
-    return done.stdout.strip() if done.returncode == 0 else ""
+    if not (checkout / ".git").exists():  # of an installed package: git would take a checkout around it
+        return ""
+    try:
+        done = subprocess.run(["git", *words], cwd=checkout, check=True, capture_output=True, text=True)
+    except (OSError, subprocess.CalledProcessError):
+        return ""
+    return done.stdout.strip()

@@ -28,11 +28,13 @@ REFUSED = {
     "simulate ugv --sweeps 1": "sweeps must be at least 2, one for each split, got 1",
     "simulate ugv --seed -1": "seed must lie in", "simulate ugv --workers 0": "workers must be at least 1, got 0",
     "evaluate truth nowhere": "nowhere", "evaluate truth nowhere --methods magic": "methods must be among continuous",
+    "evaluate crossview nowhere --seed -1": r"seed must lie in \[0, 4294967295\], got -1",
     "study paper --preset huge": "preset must be one of medium, paper, small, tiny, got 'huge'",
     "study paper --only data,magic": "--only must be some of data, crossval, models, .*, got 'magic'",
     "study paper --protocol loose": "protocol must be among paper, strict, got 'loose'",
     "study robustness --preset nonsense": "preset must be one of full, small, tiny, got 'nonsense'",
     "study robustness --preset tiny --no-run": "must hold results, got none; run without --no-run$",
+    "study guarantees --preset tiny --no-run": "must hold results, got none; run without --no-run$",
     "dataset info .": r"^viewshed: \S+ must be a data set of viewshed, but has no manifest\.json$",
 }  # fmt: skip
 """Command line, with SET for a data set → what its line must say."""

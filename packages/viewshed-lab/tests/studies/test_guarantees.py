@@ -142,6 +142,15 @@ def test_behind_a_box_is_what_it_hides_whole() -> None:
     assert hides(1.0, *places) == [False] * 6
 
 
+def test_a_line_that_was_cut_short_is_made_again(tmp_path: Path) -> None:
+    jobs._add(tmp_path, "costs", 0, {"a": {}})
+    with (tmp_path / "costs.jsonl").open("a") as file:
+        file.write('{"number": 1, "a": {}')
+    assert list(jobs._left(tmp_path, "costs", 2, lambda _: None)) == [1]
+    jobs._add(tmp_path, "costs", 1, {"a": {}})
+    assert jobs.lines_of(tmp_path, "costs") == [{"number": number, "a": {}} for number in (0, 1)]
+
+
 @pytest.mark.slow
 def test_a_tiny_study(tmp_path: Path) -> None:
     words = ("study", "guarantees", "--preset", "tiny", "--out", tmp_path, "--ship", tmp_path / "conformal.json")

@@ -86,6 +86,16 @@ def test_what_loses_too_much_is_not_written(
     assert not (tmp_path / "bytes.onnx").exists()
 
 
+def test_another_config_and_too_few_sweeps_are_refused(config: TrainConfig, tmp_path: Path) -> None:
+    export_onnx(tmp_path / "net.onnx", config.card(), nearby(config.card().shape))
+    for other, frames, message in (
+        (replace(config, max_range_m=30.0), 1, "with max_range_m 30.0, got 100.0"),
+        (config, 13, "frames must be at most 12, half of the sweeps in the data, got 13"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            quantize(other, tmp_path / "net.onnx", tmp_path / "bytes.onnx", frames)
+
+
 def test_the_command_tells_what_it_costs(fresh: tuple[TrainConfig, Path], tmp_path: Path) -> None:
     config, network = fresh
     lines = [f"{key} = {json.dumps(value)}" for key, value in config.to_json().items() if key != "name"]

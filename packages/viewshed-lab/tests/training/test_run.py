@@ -141,6 +141,14 @@ def test_a_finished_training_is_not_repeated(config: TrainConfig, trained: Calla
     assert (seen, done.weights.stat().st_mtime_ns) == ([], before)
 
 
+def test_a_training_begun_again_in_a_folder_leaves_its_own_weights(
+    config: TrainConfig, trained: Callable[[TrainConfig], Trained], tmp_path: Path
+) -> None:
+    shutil.copytree(trained(config).weights.parent, tmp_path / "out")
+    (tmp_path / "out" / "last.ckpt").unlink()
+    assert load_runner(train(replace(config, epochs=1), tmp_path / "out").weights).card.trained["epochs"] == "1"
+
+
 def test_what_a_worker_meets_is_one_line(config: TrainConfig, archive: Path, tmp_path: Path) -> None:
     shutil.copytree(archive, tmp_path / "damaged")
     for shard in (tmp_path / "damaged").glob("train-*.parquet"):

@@ -99,6 +99,10 @@ def test_a_card_comes_back_from_json_as_it_was() -> None:
         ({"shape": {"width": 8, "depth": 2, "dropout": 0.0, "channels": 2}}, "shown the counts alone"),
         ({"shape": {"width": 8, "depth": 2, "dropout": 0.0, "channels": 1, "fold": 4}}, "with fold 4; use shadow_map"),
         ({"heights_m": [3.0, -3.0]}, r"heights_m must be \(low, high\) with low < high, got \(3.0, -3.0\)"),
+        ({"heights_m": ["a", "b"]}, r"card must be whole, got one that is damaged"),
+        ({"clip": 100.5}, r"card must be whole, got one that is damaged"),
+        ({"trained": None}, r"card must be whole, got one that is damaged"),
+        ({"name": "a\x1b[2J"}, r"card must be whole, got one that is damaged \(name\)"),
         ({"threshold": 0.0}, r"threshold must lie in \(0, 1\], got 0.0"),
     ],
 )

@@ -17,7 +17,7 @@ def quantize(
 ) -> None:
     """Quantize a network to 8-bit integers, which is faster.
 
-    Nothing is written if that costs more than .002 F1, in one pass or, with dropout, in twenty.
+    Nothing is written if that costs more than .002 F1, in one pass or, with dropout, in ten.
 
     Example: viewshed quantize road network.onnx --out network_int8.onnx
     """

@@ -225,11 +225,10 @@ def cases(
 
     Example: viewshed study cases --scenes 2
     """
-    from viewshed._files import write_atomic
+    from viewshed_lab._results import write_page
     from viewshed_lab.studies.published_cases import cases_page
 
-    text = cases_page(scenes, progress=lambda title: typer.echo(f"{title} …"))
-    write_atomic(page, text.encode())
+    write_page(page, cases_page(scenes, progress=lambda title: typer.echo(f"{title} …")))
     typer.echo(f"Look at {page}")
 
 
@@ -239,7 +238,7 @@ def tracks(
     out: Out = None,
     only: Annotated[
         str | None,
-        typer.Option(metavar="STEPS", help="Only these steps, separated by commas: count, limit, test, page."),
+        typer.Option(metavar="STEPS", help="Only these steps, separated by commas: count, limit, test, lidar, page."),
     ] = None,
     workers: Workers = None,
     engine: EngineName = "local",
@@ -264,8 +263,7 @@ def tracks(
 @study_app.command()
 def wild(
     preset: Annotated[
-        str,
-        typer.Option(help="Size of the study: tiny, hard (hard places, drawn), small (the development set), sealed."),
+        str, typer.Option(help="tiny, hard (hard places, drawn), small (development set), networks (roads), sealed.")
     ] = "small",
     out: Out = None,
     workers: Workers = None,
@@ -298,7 +296,7 @@ def wild(
     plan = replace(plan, networks=tuple(map(str, network or ())))
     opening = None
     if run and plan.opens_sealed and open_sealed:
-        opening = SetOpening(open_sealed, plan.methods)
+        opening = SetOpening(open_sealed, plan.judged)
         opening.log(log)
     work = partial(run_study, engine=LocalEngine(workers), opening=opening) if run else None
     _run(plan, folder, page, work, files_of)

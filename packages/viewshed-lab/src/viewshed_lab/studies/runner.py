@@ -22,10 +22,6 @@ Progress = Callable[[str, int, int], None]
 """Is called with the step, how many of its jobs are done, and how many there are."""
 
 
-def ignore_progress(_step: str, _done: int, _total: int) -> None:
-    """Show nothing."""
-
-
 @dataclass(frozen=True, slots=True)
 class Job(Generic[P]):
     """One line of results that is to be found."""
@@ -55,7 +51,7 @@ def run_jobs(
     work: Callable[[Job[P]], JobResult],
     keys: Sequence[JobKey],
     engine: Engine,
-    on_progress: Progress = ignore_progress,
+    on_progress: Progress = lambda *_: None,
     *,
     step: str = "",
     device: str = "cpu",

@@ -90,6 +90,8 @@ def _draw(config: TrainConfig, count: int) -> Iterator[TrainingSample]:
         source, numbers = TrainingFrames(_NewScenes(config, count), config), np.arange(count) * _STEP
     else:
         source = TrainingFrames(archived_samples(config), config)
+        if (most := len(source) // 2) < count // 2:
+            raise ValueError(f"frames must be at most {most}, half of the sweeps in the data, got {count // 2}")
         spread = np.linspace(0, len(source) - 1, count).astype(np.intp)
         numbers = np.random.default_rng(config.seed).permutation(spread)
     return (source.draw(_EPOCH, int(number)) for number in numbers)
@@ -134,7 +136,7 @@ class _NewScenes:
 
 def _check(config: TrainConfig, runner: OnnxRunner) -> None:
     card, wanted = runner.card, config.card()
-    for name in ("grid", "target", "heights_m", "counts"):
+    for name in ("grid", "target", "truth", "max_range_m", "heights_m", "counts"):
         if getattr(card, name) != getattr(wanted, name):
             raise ValueError(
                 f"the network must be one of the config {config.name}, with {name} {getattr(wanted, name)}, got"

@@ -23,13 +23,9 @@ ROOM_M = 20.0
 """Grids up to this half extent are rooms: the paper's indoor label and attack."""
 
 CHOICES: dict[str, tuple[str, ...]] = {
-    "truth": TRUTHS,
-    "variant": ("mle", "mcd"),
-    "loss": ("bce", "bce_dice"),
-    "schedule": ("constant", "cosine"),
-    "precision": ("32", "bf16"),
-    "counts": COUNTS,
-}
+    "truth": TRUTHS, "variant": ("mle", "mcd"), "loss": ("bce", "bce_dice"), "schedule": ("constant", "cosine"),
+    "precision": ("32", "bf16"), "counts": COUNTS,
+}  # fmt: skip
 """What the keys that name one of a few may be."""
 
 _LIMITS: dict[str, tuple[float, float]] = {

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from viewshed_lab._jobs import LocalEngine
+from viewshed_lab._jobs import LocalEngine, cores
 from viewshed_lab.data.archive.archive import Archive
 from viewshed_lab.data.archive.schema import MANIFEST
 from viewshed_lab.data.archive.storage import Storage
@@ -184,7 +184,7 @@ def processes_for(frames: int) -> int:
     A worker of an engine may have no processes of its own, and shares the cores with others already.
     """
     alone = frames < _WORTH_PROCESSES or multiprocessing.parent_process() is not None
-    return 1 if alone else os.cpu_count() or 1
+    return 1 if alone else cores()
 
 
 def _open_archive(place: str) -> Archive:

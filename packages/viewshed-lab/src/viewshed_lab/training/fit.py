@@ -172,6 +172,8 @@ def fit(
     """Return the history of a training, whose checkpoint, weights, table and picture are in ``out``."""
     if not is_finished(history, config):
         out.mkdir(parents=True, exist_ok=True)
+        for name in (WEIGHTS, CURVES):  # of a training whose checkpoint was deleted
+            (out / name).unlink(missing_ok=True)
         loaders = Loaders(frames, config, machines)
         learner = Learner(config, loaders.steps, on_progress)
         with silenced(), leave_cores_to_workers(config.workers):
@@ -247,22 +249,13 @@ def _build_trainer(config: TrainConfig, out: Path, machines: Machines) -> L.Trai
     )
     stop = EarlyStopping("validation_loss", patience=config.patience, check_on_train_epoch_end=True)
     return L.Trainer(
-        accelerator="cuda" if machines.device == "cuda" else "cpu",
-        devices=machines.devices,
-        num_nodes=machines.nodes,
+        accelerator="cuda" if machines.device == "cuda" else "cpu", devices=machines.devices, num_nodes=machines.nodes,
         strategy=("ddp" if launched else "ddp_spawn") if several else "auto",
-        precision="bf16-mixed" if config.precision == "bf16" else "32-true",
-        max_epochs=config.epochs,
-        callbacks=[stop, checkpoints, _HistoryTable(out)],
-        plugins=[AtomicCheckpoints()],
-        default_root_dir=out,
-        use_distributed_sampler=False,
-        num_sanity_val_steps=0,
-        logger=False,
-        enable_progress_bar=False,
-        enable_model_summary=False,
-        benchmark=False,
-    )
+        precision="bf16-mixed" if config.precision == "bf16" else "32-true", max_epochs=config.epochs,
+        callbacks=[stop, checkpoints, _HistoryTable(out)], plugins=[AtomicCheckpoints()], default_root_dir=out,
+        use_distributed_sampler=False, num_sanity_val_steps=0, logger=False, enable_progress_bar=False,
+        enable_model_summary=False, benchmark=False,
+    )  # fmt: skip
 
 
 def _run(trainer: L.Trainer, learner: Learner, loaders: Loaders, last: str | None) -> None:

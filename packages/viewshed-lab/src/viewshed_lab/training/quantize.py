@@ -393,10 +393,11 @@ class _QdqGraph:
 def mask_scale(dropout: float) -> _QuantParams:
     """Return the scale of masks for which both 1 and 1 / (1 - dropout) are nearest to whole numbers of at most 255.
 
-    >>> round(1 / mask_scale(0.1).scale)
-    225
+    >>> [round(1 / mask_scale(dropout).scale) for dropout in (0.1, 0.8)]
+    [225, 50]
     """
-    ones = np.arange(64, int(255 * (1.0 - dropout)) + 1)
+    most = max(int(255 * (1.0 - dropout)), 1)
+    ones = np.arange(min(64, most), most + 1)
     scaled = ones / (1.0 - dropout)
     error = np.abs(scaled - np.round(scaled)) / ones
     return _QuantParams(1.0 / float(ones[::-1][np.argmin(error[::-1])]))

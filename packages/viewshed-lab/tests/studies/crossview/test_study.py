@@ -6,11 +6,8 @@ from viewshed import BevGrid, FovEstimate, FovEstimator, Rigid, Sweep
 from viewshed.estimators.shadow_map import ShadowMap
 from viewshed.sensors import LidarModel
 from viewshed_lab.sim import Box, Scene, cast
-from viewshed_lab.studies.crossview.rates import (
-    crossview_truth,
-    evaluate_crossview,
-    rows_of,
-)
+from viewshed_lab.studies.crossview.page import _under_attack
+from viewshed_lab.studies.crossview.rates import SeenColumns, crossview_truth, evaluate_crossview, rows_of
 
 MODEL = LidarModel("test", np.deg2rad(np.linspace(-20, 8, 48)), azimuth_columns=900)
 GRID = BevGrid(256, 64.0)
@@ -68,6 +65,12 @@ def test_the_rates_of_all_nothing_and_the_shadow_map() -> None:
     assert rows["shadow_map"].under.value < 0.05
     assert rows["all"].over.low <= rows["all"].over.value <= rows["all"].over.high
     assert rows["all"].under.columns > 50
+
+
+def test_an_attack_without_a_known_column_adds_nothing() -> None:
+    nothing = SeenColumns(np.empty((0, 2)), np.empty(0, bool), np.empty(0, bool))
+    table = _under_attack([(SWEEPS[0], nothing)], {"all": _Constant(1.0)}, ["uniform"], 0, lambda _: None)
+    assert table.rows == [["all", "– / –", "– / –", "–"]]
 
 
 def test_estimators_are_shown_what_the_attacker_left_and_the_truth_is_of_the_sweep_itself() -> None:

@@ -131,6 +131,8 @@ def test_a_trace_is_read_in_the_order_of_its_numbers_and_a_blinded_sweep_called(
     keyed = call_trace(other, StreamMonitor(), key=(7, 9, 11))
     assert [one.number for one in keyed if one.is_spoofed] == [7, 9, 11]
     assert "| mine | 1 of 3 | 2, 0, missed | 0 of 9 |" in trace_page(keyed, 5.0, 6.0)
+    with pytest.raises(ValueError, match=r"--key must be numbers of sweeps of \S+mine, got 99, which is none of them"):
+        call_trace(other, StreamMonitor(), key=(7, 99))
     no_archive = tmp_path / "text.tar.xz"
     no_archive.write_text("text")
     with pytest.raises(ValueError, match=r"text\.tar\.xz must be a \.tar\.xz of PCD files, or a folder of them, got"):

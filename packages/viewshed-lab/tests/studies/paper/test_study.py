@@ -33,7 +33,7 @@ from viewshed_lab.studies.paper.plan import PaperPlan
 from viewshed_lab.studies.paper.protocols import setting_of
 from viewshed_lab.studies.paper.published import OTHERS, SUB_TABLES, PaperResults
 from viewshed_lab.studies.records import BENIGN, Series
-from viewshed_lab.studies.runner import Job, ignore_progress
+from viewshed_lab.studies.runner import Job
 from viewshed_lab.studies.store import JOBS, ResultStore
 from viewshed_lab.training import calibrate_int8
 
@@ -65,7 +65,7 @@ def test_every_job_is_there_and_none_is_done_twice(study: tuple[ResultStore[Pape
     assert [step for step in seen if step[0] == "models"][-1] == ("models", 8, 8)
     assert [step for step in seen if step[0] == "crossval"][-1] == ("crossval", 4, 4)
     before = {path: path.stat().st_mtime_ns for path in (store.folder / JOBS).iterdir()}
-    assert list(run_study(store, Scope(workers=1), ignore_progress)) == []
+    assert list(run_study(store, Scope(workers=1))) == []
     assert {path: path.stat().st_mtime_ns for path in (store.folder / JOBS).iterdir()} == before
 
 
@@ -74,9 +74,8 @@ import sys
 from pathlib import Path
 from tests.studies.paper.test_study import PLAN, SOME
 from viewshed_lab.studies.paper.jobs import run_study
-from viewshed_lab.studies.runner import ignore_progress
 from viewshed_lab.studies.store import ResultStore
-list(run_study(ResultStore.open(Path(sys.argv[1]), PLAN), SOME, ignore_progress))
+list(run_study(ResultStore.open(Path(sys.argv[1]), PLAN), SOME))
 """
 
 SOME = Scope(steps=("data", "crossval"), protocols=("paper",), workers=1)
@@ -93,7 +92,7 @@ def test_a_killed_run_goes_on_and_ends_the_same(study: tuple[ResultStore[PaperPl
     done = again.keys()
     left = [key for step in SOME.steps for key in PLAN.job_keys_of(step, SOME.protocols) if key not in done]
     assert left
-    assert list(run_study(again, SOME, ignore_progress)) == []
+    assert list(run_study(again, SOME)) == []
     assert fold_scores(PLAN, tmp_path) == fold_scores(PLAN, store.folder)
 
 
@@ -181,9 +180,9 @@ def test_pages_say_what_is_missing(study: tuple[ResultStore[PaperPlan], Steps], 
 def test_what_waits_for_a_model_is_told_and_left(tmp_path: Path) -> None:
     store = ResultStore.open(tmp_path, PLAN)
     with pytest.raises(ValueError, match="the other steps need the step data"):
-        list(run_study(store, Scope(steps=("monitor",)), ignore_progress))
-    assert list(run_study(store, Scope(steps=("data",), workers=1), ignore_progress)) == []
-    problems = list(run_study(store, Scope(steps=("monitor",), workers=1), ignore_progress))
+        list(run_study(store, Scope(steps=("monitor",))))
+    assert list(run_study(store, Scope(steps=("data",), workers=1))) == []
+    problems = list(run_study(store, Scope(steps=("monitor",), workers=1)))
     assert problems == [
         f"monitor {mixture}: not all of its models are trained" for mixture in ("benign", "adversarial")
     ]
@@ -191,10 +190,10 @@ def test_what_waits_for_a_model_is_told_and_left(tmp_path: Path) -> None:
 
 def test_data_of_another_seed_are_refused(tmp_path: Path) -> None:
     store = ResultStore.open(tmp_path, replace(PLAN, seed=PLAN.seed + 7))
-    assert list(run_study(store, Scope(steps=("data",), workers=1), ignore_progress)) == []
+    assert list(run_study(store, Scope(steps=("data",), workers=1))) == []
     other = ResultStore(tmp_path, PLAN)
     with pytest.raises(ValueError, match="ugv-train must be made as the plan tiny says, got sweeps of another recipe"):
-        list(run_study(other, Scope(steps=("monitor",)), ignore_progress))
+        list(run_study(other, Scope(steps=("monitor",))))
 
 
 def test_held_out_sweeps_are_of_other_scenes_and_have_a_past(study: tuple[ResultStore[PaperPlan], Steps]) -> None:

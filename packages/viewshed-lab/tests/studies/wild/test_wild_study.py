@@ -163,6 +163,12 @@ def test_the_files_of_a_run_that_was_stopped_goes_on(tmp_path: Path) -> None:
         files_of(store)
     assert list(run_study(store, LocalEngine(1))) == []
     before, last = stored(store), FAST.job_keys()[-1]
+    others = {key: store.path_of(key).read_bytes() for key in FAST.job_keys() if key[0] != "own"}
+    for key in others:
+        store.path_of(key).unlink()
+    assert "own: F1" in files_of(store)["wild.md"].decode()  # before it has come to other worlds
+    for key, content in others.items():
+        store.path_of(key).write_bytes(content)
     store.path_of(last).unlink()
     again = ResultStore.open(tmp_path, FAST)
     assert list(run_study(again, LocalEngine(1))) == []

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields
+from operator import index
 from typing import Any, Protocol
 
 import numpy as np
@@ -191,16 +192,21 @@ def _card_of(content: dict[str, Any]) -> NetworkCard:
                 "network must be shown the counts alone, without a fold, as this version runs it, got one shown"
                 f" {inputs} with fold {beside['fold']}; use shadow_map"
             )
-        low, high = content.pop("heights_m")
-        grid = content.pop("grid")
+        low, high = (0.0 + each for each in content.pop("heights_m"))
+        grid, trained, name = (content.pop(key) for key in ("grid", "trained", "name"))
+        if not name.isprintable():
+            raise TypeError("name")
         x, y = grid["offset_m"]
         return NetworkCard(
-            shape=UNetShape(**shape),
-            grid=BevGrid(grid["cells"], grid["half_extent_m"], (x, y)),
+            name,
+            UNetShape(**shape),
+            BevGrid(index(grid["cells"]), grid["half_extent_m"], (x, y)),
             heights_m=(low, high),
+            clip=index(content.pop("clip")),
+            trained={key: str(value) for key, value in trained.items()},
             **content,
         )
-    except (TypeError, KeyError) as error:
+    except (TypeError, KeyError, AttributeError) as error:
         raise ValueError(f"card must be whole, got one that is damaged ({error}); export the network again") from error
 
 

@@ -33,32 +33,17 @@ _INSTALL = "pip install 'onnxruntime-gpu[cuda,cudnn]'"
 
 _INSTEAD = "or take the engine onnxruntime (--device cpu)"
 
-Run = Callable[[Sequence[str], Mapping[str, Any]], list[Any]]
-"""From names of outputs, and inputs by name, to these outputs."""
+Call = Callable[[Mapping[str, NDArray[Any]], Sequence[str]], list[F32]]
+"""From inputs by name and names of outputs to these."""
 
 
-def cuda_run(content: bytes) -> Run:
+def _cuda(content: bytes, _: int | None) -> Call:
     """Return what runs a network, known to be sound, on the first graphics card; it raises an OSError if that fails.
 
     Raises:
         ImportError: this ONNX Runtime has no CUDA.
         ValueError: there is no graphics card that it can use.
     """
-    session = _cuda_session(content)
-
-    def run(names: Sequence[str], inputs: Mapping[str, Any]) -> list[Any]:
-        try:
-            outputs: list[Any] = session.run(names, inputs)
-        except Exception as error:  # its errors share no class but this
-            raise OSError(
-                f"the graphics card failed ({_first_line(str(error))}); free its memory, {_INSTEAD}"
-            ) from error
-        return outputs
-
-    return run
-
-
-def _cuda_session(content: bytes) -> Any:
     import onnxruntime
 
     if _CUDA not in onnxruntime.get_available_providers():
@@ -79,7 +64,16 @@ def _cuda_session(content: bytes) -> Any:
         onnxruntime.set_default_logger_severity(_WARNING)
     if _CUDA not in session.get_providers():
         raise ValueError(_no_card_message(why))
-    return session
+
+    def run(inputs: Mapping[str, NDArray[Any]], names: Sequence[str]) -> list[F32]:
+        try:
+            return list(session.run(names, inputs))
+        except Exception as error:  # its errors share no class but this
+            raise OSError(
+                f"the graphics card failed ({_first_line(str(error))}); free its memory, {_INSTEAD}"
+            ) from error
+
+    return run
 
 
 def _preload_cuda(onnxruntime: Any) -> str:
@@ -109,9 +103,6 @@ IN_BYTES = "onnxruntime"
 """The engine that runs networks in bytes."""
 
 _CELLS_AT_ONCE = 1 << 21
-
-Call = Callable[[Mapping[str, NDArray[Any]], Sequence[str]], list[F32]]
-"""From inputs by name and names of outputs to these."""
 
 
 class OnnxRunner:
@@ -237,11 +228,8 @@ def load_runner(path_or_name: str | Path, threads: int | None = None, engine: st
 
 def _choices() -> str:
     names = ", ".join(shipped_names())
-    return (
-        f"a file that viewshed train exported or one of {names}"
-        if names
-        else ("a file that viewshed train exported (this version ships none by name)")
-    )
+    none = " (this version ships none by name)"
+    return "a file that viewshed train exported" + (f" or one of {names}" if names else none)
 
 
 def _with_file_name(call: Call, name: str) -> Call:
@@ -314,11 +302,6 @@ def _session(content: bytes, threads: int | None) -> Any:
         return onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
     except Exception as error:  # its errors share no class but this
         raise RuntimeError(_short(error)) from error
-
-
-def _cuda(content: bytes, threads: int | None) -> Call:
-    run = cuda_run(content)
-    return lambda inputs, names: run(names, inputs)
 
 
 _LOADERS: dict[str, Callable[[bytes, int | None], Call]] = {"onnxruntime": values_of, "cuda": _cuda}

@@ -20,7 +20,7 @@ from viewshed_lab.studies.agents.runs import SceneCases, honest_examples
 from viewshed_lab.studies.agents.scenes import FOLDER, Scene, scene_path, scene_world
 from viewshed_lab.studies.cases import generator
 from viewshed_lab.studies.plan import check_names
-from viewshed_lab.studies.runner import Job, Progress, ignore_progress, lacking, run_jobs
+from viewshed_lab.studies.runner import Job, Progress, lacking, run_jobs
 from viewshed_lab.studies.store import JobResult, ResultStore
 
 
@@ -28,7 +28,7 @@ def run_study(
     store: ResultStore[AgentsPlan],
     engine: Engine,
     steps: tuple[str, ...] = STEPS,
-    on_progress: Progress = ignore_progress,
+    on_progress: Progress = lambda *_: None,
 ) -> Iterator[str]:
     """Do what is not there yet; yield one line for each job that failed.
 

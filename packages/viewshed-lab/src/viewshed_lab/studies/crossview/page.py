@@ -31,7 +31,7 @@ from viewshed_lab.studies.crossview.rates import (
 from viewshed_lab.studies.crossview.simulated import evaluate_floor
 from viewshed_lab.studies.formatting import format_number, lines
 from viewshed_lab.studies.pages import Table, fill_template
-from viewshed_lab.studies.plan import check_names
+from viewshed_lab.studies.plan import check_names, check_seed
 from viewshed_lab.threats.attacks import ATTACKS, Knowledge
 
 POINTS = 150
@@ -81,6 +81,7 @@ def page_of(
     in a simulation. ``seed`` is that of the bootstrap.
     """
     check_names("attacks", attacks, ATTACKS)
+    check_seed("seed", seed)
     found, own = posed_scenes(index), list[CrossViewRow]()
     if floor:
         few = {one: estimators[one] for one in estimators if one in ("shadow_map", "majority_vote", "first_blocker")}
@@ -160,9 +161,9 @@ def _under_attack(
             found[row.method].append((row.over.value, row.under.value))
     rows = []
     for method, rates in found.items():
-        growth = np.nanmax(np.array(rates) - np.array(rates[0]))
+        grown = [more for more in (np.array(rates) - rates[0]).ravel().tolist() if not isnan(more)]
         cells = [" / ".join(format_number(rate, 3) for rate in pair) for pair in rates]
-        rows.append([method, *cells, f"{growth:+.3f}"])
+        rows.append([method, *cells, f"{max(grown):+.3f}" if grown else "–"])
     return Table(["estimator", "untouched", *attacks, "grows by"], rows)
 
 

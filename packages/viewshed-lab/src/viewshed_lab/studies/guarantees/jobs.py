@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -131,7 +132,10 @@ def lines_of(folder: Path, part: str) -> list[Line]:
     file = folder / f"{part}.jsonl"
     if not file.exists():
         return []
-    lines = [json.loads(line) for line in file.read_text(encoding="utf-8").splitlines()]
+    lines = list[Line]()
+    for line in file.read_text(encoding="utf-8").splitlines():
+        with suppress(json.JSONDecodeError):  # one that a full disk cut short is made again
+            lines.append(json.loads(line))
     return sorted(lines, key=lambda line: int(line["number"]))
 
 
@@ -222,8 +226,10 @@ def _left(folder: Path, part: str, count: int, on_line: Callable[[str], None]) -
 
 
 def _add(folder: Path, part: str, number: int, line: Line) -> None:
-    with (folder / f"{part}.jsonl").open("a", encoding="utf-8") as file:
-        file.write(json.dumps({"number": number, **line}) + "\n")
+    with (folder / f"{part}.jsonl").open("ab+") as file:
+        file.seek(max(file.tell() - 1, 0))
+        begin = "" if file.read() in (b"", b"\n") else "\n"
+        file.write(f"{begin}{json.dumps({'number': number, **line})}\n".encode())
 
 
 def _packed(counts: SceneCounts) -> dict[str, Any]:

@@ -39,6 +39,8 @@ from viewshed_lab.studies.pages import Picture, Table, fill_template
 def files_of(folder: Path) -> dict[str, bytes]:
     """Return the page ``guarantees.md``, the last, and its picture, as files by name."""
     lines = {part: lines_of(folder, part) for part in _PARTS}
+    if not any(lines.values()):
+        raise ValueError(f"{folder} must hold results, got none; run without --no-run")
     retested = retested_shares(folder)
     made: dict[str, tuple[list[Line], Callable[[list[Line]], Table | Picture | None]]] = {
         "certificates": (lines["certificates"], _certificates), "final": (lines["certificates"], _final),

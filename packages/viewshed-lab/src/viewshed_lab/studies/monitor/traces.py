@@ -80,7 +80,7 @@ def _unpacked(trace: Path) -> Iterator[Path]:
 def call_trace(trace: Path, monitor: StreamMonitor, key: Collection[int] | None = None) -> list[Called]:
     """Return what a monitor says of each sweep of a trace; ``key`` numbers the spoofed ones, ``SPOOFED`` without it."""
     name, watching = trace.name.removesuffix(".tar.xz"), monitor.fresh()
-    key = SPOOFED.get(name) if key is None else key
+    given, key = key or (), SPOOFED.get(name) if key is None else key
     called, sensor = [], UNIDENTIFIED
     for number, sweep in trace_sweeps(trace):
         leveled = level(sweep, GRIDS["road"], sensor)
@@ -91,4 +91,6 @@ def call_trace(trace: Path, monitor: StreamMonitor, key: Collection[int] | None 
                 now.degraded, now.reasons[0] if now.reasons else "",
             )
         )  # fmt: skip
+    if unknown := set(given) - {one.number for one in called}:
+        raise ValueError(f"--key must be numbers of sweeps of {trace}, got {min(unknown)}, which is none of them")
     return called

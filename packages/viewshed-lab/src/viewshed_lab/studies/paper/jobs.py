@@ -64,15 +64,8 @@ def strict_cases(plan: PaperPlan) -> list[Case]:
 
 def do_job(job: Job[PaperPlan]) -> JobResult:
     """Return what a job found."""
-    works = {
-        "crossval": _fold,
-        "models": _train,
-        "pairs": _pair,
-        "strict": _strict,
-        "trade": _trade,
-        "monitor": _monitor,
-    }
-    return works[job.key[0]](job)
+    works = {"crossval": _fold, "models": _train, "pairs": _pair, "strict": _strict, "trade": _trade}
+    return (works | {"monitor": _monitor})[job.key[0]](job)
 
 
 def _fold(job: Job[PaperPlan]) -> JobResult:
@@ -233,7 +226,7 @@ class Scope:
         return LocalEngine(1 if alone else self.workers)
 
 
-def run_study(store: ResultStore[PaperPlan], scope: Scope, on_progress: Progress) -> Iterator[str]:
+def run_study(store: ResultStore[PaperPlan], scope: Scope, on_progress: Progress = lambda *_: None) -> Iterator[str]:
     """Do what is not done yet, and yield one line for each job that failed or could not be done, as it happens."""
     if {"crossval", "models", "trade"} & set(scope.steps) or scope.device != "cpu":
         check_training(scope.device)

@@ -10,14 +10,14 @@ from viewshed_lab.studies.cases import case_generator
 from viewshed_lab.studies.evaluate import AdaptiveEvaluation, Evaluation, Reference, defense_of
 from viewshed_lab.studies.records import PAPER, STRICT
 from viewshed_lab.studies.robustness.plan import RobustnessPlan
-from viewshed_lab.studies.runner import Job, Progress, ignore_progress, run_jobs
+from viewshed_lab.studies.runner import Job, Progress, run_jobs
 from viewshed_lab.studies.samples import StudySample, sample_of
 from viewshed_lab.studies.store import JobResult, ResultStore
 from viewshed_lab.studies.suite import paper_suite, strict_suite
 
 
 def run_study(
-    store: ResultStore[RobustnessPlan], engine: Engine, on_progress: Progress = ignore_progress
+    store: ResultStore[RobustnessPlan], engine: Engine, on_progress: Progress = lambda *_: None
 ) -> Iterator[str]:
     """Run what is not in the store yet, and yield one line for each job that failed."""
     return run_jobs(store, do_job, store.plan.job_keys(), engine, on_progress, step=store.plan.name)

@@ -16,7 +16,7 @@ from viewshed.objects.tracker import ExistenceRules, Rules
 from viewshed_lab._jobs import Engine
 from viewshed_lab.studies.cases import generator
 from viewshed_lab.studies.plan import check_names
-from viewshed_lab.studies.runner import Job, Progress, ignore_progress, lacking, run_jobs
+from viewshed_lab.studies.runner import Job, Progress, lacking, run_jobs
 from viewshed_lab.studies.store import JobResult, ResultStore
 from viewshed_lab.studies.tracks.drives import Moment, simulate_drive
 from viewshed_lab.studies.tracks.evaluate import evaluate, track_drive, tracking_gospa_m, tracks_of_objects
@@ -42,7 +42,7 @@ def run_study(
     store: ResultStore[TracksPlan],
     engine: Engine,
     steps: tuple[str, ...] = STEPS,
-    on_progress: Progress = ignore_progress,
+    on_progress: Progress = lambda *_: None,
 ) -> Iterator[str]:
     """Do what is not there yet in some of ``STEPS``; yield one line for each job that failed."""
     check_names("only", steps, STEPS)

@@ -102,9 +102,8 @@ class TracksResults:
             honest = np.sum([one["honest"] for one in every], axis=0)
             lost, hidden = np.sum([one["occluded"] for one in every], axis=0)
             rows.append((
-                NAMES[fov], " / ".join(format_number(distance_m, 2) for distance_m in _gospa(every)),
-                f"{format_rate(_share(every, 'honest'))} of {honest[1]}", format_rate(_ece(every)),
-                f"{lost} of {hidden}",
+                NAMES[fov], _both_gospa(every), f"{format_rate(_share(every, 'honest'))} of {honest[1]}",
+                format_rate(_ece(every)), f"{lost} of {hidden}",
             ))  # fmt: skip
         return Table(("field of view", "GOSPA, m", "accused", "ECE", "dropped while occluded"), rows)
 
@@ -230,7 +229,7 @@ def _gospa(outcomes: Outcomes) -> tuple[float, float]:
 
 
 def _both_gospa(outcomes: Outcomes) -> str:
-    return "{:.2f} / {:.2f}".format(*_gospa(outcomes))
+    return " / ".join(format_number(distance_m, 2) for distance_m in _gospa(outcomes))
 
 
 def _ratio(outcomes: Outcomes) -> float:

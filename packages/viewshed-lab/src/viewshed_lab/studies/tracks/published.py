@@ -24,16 +24,10 @@ from viewshed.objects.tracker import Measured, TrackTable
 from viewshed.objects.views import View
 
 PUBLISHED_MOTION = Motion(
-    acceleration_density=0.0,
-    state_drift=(2.0, 2.0, 3.0, 3.0),
-    velocity_std_mps=10.0,
-    position_std_m=5.0,
-    center_std_m=1.0,
-    box_drift=(2.0, 0.2, 0.2, 0.2, 10.0),
-    box_std=(1.0, 0.25, 0.25, 0.25, 0.01),
-    new_box_std=(5.0, 2.0, 2.0, 2.0, 5.0),
-    heading_from_mps=np.inf,
-)
+    acceleration_density=0.0, state_drift=(2.0, 2.0, 3.0, 3.0), velocity_std_mps=10.0, position_std_m=5.0,
+    center_std_m=1.0, box_drift=(2.0, 0.2, 0.2, 0.2, 10.0), box_std=(1.0, 0.25, 0.25, 0.25, 0.01),
+    new_box_std=(5.0, 2.0, 2.0, 2.0, 5.0), heading_from_mps=np.inf,
+)  # fmt: skip
 """Its numbers; yaw is that of the last detection."""
 
 

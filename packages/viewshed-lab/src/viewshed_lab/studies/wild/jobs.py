@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from viewshed_lab._jobs import Engine
 from viewshed_lab.data.wild import WildScene, wild_tables
 from viewshed_lab.studies.plan import JobKey
-from viewshed_lab.studies.runner import Job, Progress, ignore_progress, run_jobs
+from viewshed_lab.studies.runner import Job, Progress, run_jobs
 from viewshed_lab.studies.store import JobResult, ResultStore
 from viewshed_lab.studies.wild.evaluate import rows_of
 from viewshed_lab.studies.wild.openings import SetOpening
@@ -17,7 +17,7 @@ from viewshed_lab.studies.wild.plan import WildPlan
 def run_study(
     store: ResultStore[WildPlan],
     engine: Engine,
-    on_progress: Progress = ignore_progress,
+    on_progress: Progress = lambda *_: None,
     opening: SetOpening | None = None,
 ) -> Iterator[str]:
     """Run what is not in the store yet, and yield one line for each job that failed.

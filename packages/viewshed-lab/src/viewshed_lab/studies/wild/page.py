@@ -130,11 +130,13 @@ def _ladder(pool: Pool) -> Table | None:
     return Table(["the shadow map given", "precision / recall", "F1", "ground off", "of that claimed", "HIDDEN"], rows)
 
 
-def _reliability(pool: Pool) -> Picture:
-    """Return the picture of how well the probabilities of the judged methods are calibrated on other worlds."""
-    judged = pool.of(method=[name for name in JUDGED if name in pool.names("method")])
+def _reliability(pool: Pool) -> Picture | None:
+    """Return how well the probabilities of the judged methods are calibrated on other worlds; None without any."""
+    judged = pool.of(method=JUDGED)
+    if judged.rows.empty:
+        return None
     what = "share of cells that are visible, by the stated probability, on other worlds"
-    return Picture(f"wild_{pool.names('domain')[0]}_reliability.png", reliability_of(judged), what)
+    return Picture(f"wild_{judged.names('domain')[0]}_reliability.png", reliability_of(judged), what)
 
 
 def _worst(plan: WildPlan, pool: Pool) -> Iterator[Table | Picture]:
