@@ -64,8 +64,10 @@ def strict_cases(plan: PaperPlan) -> list[Case]:
 
 def do_job(job: Job[PaperPlan]) -> JobResult:
     """Return what a job found."""
-    works = {"crossval": _fold, "models": _train, "pairs": _pair, "strict": _strict, "trade": _trade}
-    return (works | {"monitor": _monitor})[job.key[0]](job)
+    works = {
+        "crossval": _fold, "models": _train, "pairs": _pair, "strict": _strict, "trade": _trade, "monitor": _monitor,
+    }  # fmt: skip
+    return works[job.key[0]](job)
 
 
 def _fold(job: Job[PaperPlan]) -> JobResult:
