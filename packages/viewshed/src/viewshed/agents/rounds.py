@@ -15,7 +15,7 @@ where they are heard.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -111,7 +111,7 @@ class Round:
         """
         places = np.array([report.world_from_level.translation for report in self.reports])
         grids = [report.estimate.grid for report in self.reports]
-        middle, cell_m = np.median(places, axis=0), float(np.quantile([grid.cell_m for grid in grids], 0.5, method="lower"))
+        middle, cell_m = np.median(places, axis=0), sorted(grid.cell_m for grid in grids)[(len(grids) - 1) // 2]
         half_m = max(grid.half_extent_m for grid in grids) + float(np.abs(places - middle).max())
         half_m = min(half_m, COARSEST * MOST_CELLS * cell_m / 2)
         grid = BevGrid(min(MOST_CELLS, round(2 * half_m / cell_m)), half_m)
