@@ -102,9 +102,9 @@ def test_who_contradicts_two_others_is_told() -> None:
     np.testing.assert_allclose(joint.world_from_grid.translation[:2], [0.0, -4.0], atol=1e-9)
     np.testing.assert_array_equal(joint.world_from_grid.rotation, np.eye(3))
     # One that is far away, or whose cells are large, makes it neither coarse nor moves it.
-    *others, last = told.reports
-    coarse = replace(last, estimate=replace(last.estimate, grid=replace(GRID, half_extent_m=1e300)))
-    for liar in (at(last, 9e6), coarse):
+    *others, third = told.reports
+    coarse = replace(third, estimate=replace(third.estimate, grid=replace(GRID, half_extent_m=1e300)))
+    for liar in (at(third, 9e6), coarse):
         lied = replace(told, picture=replace(told.picture, reports=(*others, liar))).joint
         assert lied.grid.cell_m <= 4.0 * GRID.cell_m
         assert np.abs(lied.world_from_grid.translation[:2]).max() < 10.0
