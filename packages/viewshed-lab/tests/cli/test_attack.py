@@ -46,6 +46,8 @@ def test_one_file_becomes_one_file_with_its_record(tmp_path: Path) -> None:
     kept = np.setdiff1d(np.arange(len(attacked)), record["added_rows"])
     assert len(record["added_rows"]) == 30
     assert attacked.points[kept].tobytes() == clean.points.tobytes()
+    code, _, complaint = run(*words[:2], "--attack", "replay", "--out", str(tmp_path / "c.npz"))
+    assert (code, complaint.split(",")[0]) == (2, "viewshed: replay needs an earlier sweep")
     code, _, complaint = run(*words, "--out", str(tmp_path / "a.npz"))
     assert (code, complaint) == (
         2,

@@ -216,6 +216,15 @@ def test_the_joint_view_is_what_any_trusted_agent_sees() -> None:
     assert doubted.surest[32, 50] == 0
     hidden = joint_fov(views[2:], GRID, Rigid.identity())
     assert (hidden.state == CellState.HIDDEN).all()
+    # Not a distrusted one by a low threshold, not a probability in cells that are called hidden, not two doubts.
+    low, odd = replace(views[1], threshold=0.01), replace(views[1], state=views[2].state)
+    doubts = [view("d", visible=0.45), view("e", visible=0.45)]
+    for said, trust in (([views[2], low], [1.0, 0.05]), ([views[2], odd], [1.0, 1.0]), (doubts, [1.0, 1.0])):
+        joint = joint_fov(said, GRID, Rigid.identity(), np.array(trust))
+        assert not joint.estimate().visible().any()
+        assert not joint.seen_by.any()
+        assert (joint.state == CellState.HIDDEN).all()
+    assert not confirmed(view("f", y_m=20.0), np.ones(GRID.shape, bool), [odd], np.ones(1), 0.5).visible().any()
     with pytest.raises(ValueError, match="must be of 3 views"):
         joint_fov(views, GRID, Rigid.identity(), np.ones(2))
 

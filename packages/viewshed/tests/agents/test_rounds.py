@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.agents.test_many import AGENTS, CARS, report, view
+from tests.agents.test_many import AGENTS, CARS, GRID, report, view
 
 from viewshed.agents.many import AgentReport
 from viewshed.agents.registration import PoseStd
@@ -99,8 +99,15 @@ def test_who_contradicts_two_others_is_told() -> None:
     assert joint.agents == ("a", "b", "c")
     assert joint.seen_by.max() in {2, 3}
     # It lies about the middle of the agents, turned like the world, and holds the views of all.
-    np.testing.assert_allclose(joint.world_from_grid.translation[:2], [-1 / 3, -13 / 3], atol=1e-9)
+    np.testing.assert_allclose(joint.world_from_grid.translation[:2], [0.0, -4.0], atol=1e-9)
     np.testing.assert_array_equal(joint.world_from_grid.rotation, np.eye(3))
+    # One that is far away, or whose cells are large, makes it neither coarse nor moves it.
+    *others, third = told.reports
+    coarse = replace(third, estimate=replace(third.estimate, grid=replace(GRID, half_extent_m=1e300)))
+    for liar in (at(third, 9e6), coarse):
+        lied = replace(told, picture=replace(told.picture, reports=(*others, liar))).joint
+        assert lied.grid.cell_m <= 4.0 * GRID.cell_m
+        assert np.abs(lied.world_from_grid.translation[:2]).max() < 10.0
 
 
 # Clocks that differ, delays, who comes, goes, raises, jumps or lies.
@@ -184,13 +191,21 @@ def test_who_makes_its_clock_jump_harms_nobody_else(jump_s: Callable[[np.random.
     assert all(each.missing == ("agent00",) for each in others)
 
 
-def test_who_reports_again_and_again_ends_no_round_of_others() -> None:
+@pytest.mark.parametrize(
+    ("times", "said"),
+    [
+        (40, [(0.01, 0, 0.0), (0.02, 1, 0.0), (0.03, 0, 0.0), (0.04, 0, 0.0), (0.05, 2, 0.0), (0.3, 0, 0.0)]),
+        # Twenty a second, of times between those of the others.
+        (6, [(0.12, 1, 0.12), (0.15, 2, 0.15), *((0.05 * n, 0, 0.055 * (7 * n % 10)) for n in range(10))]),
+    ],
+)
+def test_who_reports_again_and_again_parts_no_others(times: int, said: list[tuple[float, int, float]]) -> None:
     reports, rounds, done = fleet(3), Rounds(), list[Round]()
-    for time in range(40):
-        true_s = BEGIN_S + time / HZ
-        for delay_s, number in ((0.01, 0), (0.02, 1), (0.03, 0), (0.04, 0), (0.05, 2), (0.3, 0)):
-            done += rounds.add(true_s + delay_s, reports[number], true_s + delay_s + 0.01)
-    assert full(done, {"agent01", "agent02"}) >= 38
+    for time in range(times):
+        for delay_s, number, old_s in sorted(said):
+            arrived_s = BEGIN_S + time / HZ + delay_s
+            done += rounds.add(arrived_s - old_s, reports[number], arrived_s)
+    assert full(done, {"agent01", "agent02"}) >= times - 2
 
 
 def test_agents_of_ten_a_second_are_put_together() -> None:

@@ -1,6 +1,7 @@
 """Masks with a promised error: the tests against scipy and MAPIE, the promises on scenes drawn by chance."""
 
 import warnings
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -76,6 +77,9 @@ def test_what_is_no_mask_says_so() -> None:
     shares[3:, :40] = 0.2
     calibration, estimate = calibration_of(shares), scene(np.random.default_rng(0))[0]
     assert (calibration.guaranteed(estimate, GROUND) == (estimate.visible_prob >= THRESHOLDS[2])).all()
+    abstaining = replace(estimate, threshold=0.9)  # what it does not claim is no part of a promise
+    assert (calibration.guaranteed(abstaining, GROUND) == abstaining.visible()).all()
+    assert (calibration.guaranteed_at(abstaining, GRID.centers)[~abstaining.visible()] == 0.0).all()
     unsure = FovEstimate(
         GRID, np.minimum(estimate.visible_prob, np.float32(0.4)), estimate.state, method=estimate.method
     )

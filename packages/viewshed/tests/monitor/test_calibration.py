@@ -13,8 +13,6 @@ from scipy import stats
 from viewshed.arrays import F32
 from viewshed.monitor.calibration import (
     Calibration,
-    Promise,
-    alarms_allowed,
     load_calibration,
     save_calibration,
     scores_of,
@@ -22,42 +20,6 @@ from viewshed.monitor.calibration import (
 )
 from viewshed.monitor.evidence import EVIDENCE, SECTORS
 from viewshed.monitor.tails import peaks_of
-
-RATES = st.sampled_from([0.01, 0.02, 0.05, 0.1, 0.25, 0.5])
-
-
-@pytest.mark.parametrize(
-    ("rate", "promise", "need"),
-    [
-        (0.001, "expected", 999),
-        (0.001, "confident", 2302),
-        (0.01, "expected", 99),
-        (0.01, "confident", 230),
-        (0.1, "confident", 22),
-    ],
-)
-def test_a_rate_that_the_scenes_cannot_support_is_refused_with_their_number(
-    rate: float, promise: Promise, need: int
-) -> None:
-    word = " with probability 0.9" if promise == "confident" else ""
-    with pytest.raises(
-        ValueError, match=rf"rate of {rate:g}{word} needs at least {need} benign scenes, got {need - 1}"
-    ):
-        alarms_allowed(need - 1, rate, promise)
-    assert alarms_allowed(need, rate, promise) == 0
-
-
-@given(st.integers(1, 3000), RATES)
-def test_the_confident_limit_is_the_lowest_whose_beta_tail_gives_it(scenes: int, rate: float) -> None:
-    try:
-        above = alarms_allowed(scenes, rate, "confident")
-    except ValueError:
-        assert stats.beta.cdf(rate, 1, scenes) < 0.9
-        return
-    assert stats.beta.cdf(rate, above + 1, scenes - above) >= 0.9
-    assert stats.beta.cdf(rate, above + 2, scenes - above - 1) < 0.9
-    assert above <= max(alarms_allowed(scenes, rate), 0)
-
 
 HZ, MINUTE = 2.5, 150
 """Sweeps a second, and in a minute."""

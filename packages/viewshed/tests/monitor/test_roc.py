@@ -68,7 +68,7 @@ def test_a_further_sweep_alarms_at_most_as_often_as_chosen(rate: float, count: i
     assert (alarms + 1) / (count + 1) > rate, "a smaller limit would do as well"
 
 
-@pytest.mark.parametrize(("rate", "need"), [(0.05, 19), (0.01, 99), (0.3, 3), (0.1, 9), (0.5, 1)])
+@pytest.mark.parametrize(("rate", "need"), [(0.05, 19), (0.01, 99), (0.001, 999), (0.3, 3), (0.1, 9), (0.5, 1)])
 def test_too_few_benign_sweeps_are_named(rate: float, need: int) -> None:
     with pytest.raises(ValueError, match=rf"rate of {rate} needs at least {need} benign sweeps, got {need - 1}"):
         alarm_limit(np.arange(need - 1), rate)

@@ -63,9 +63,13 @@ def attack(
 
     Example: viewshed attack sweeps --attack far_wall --budget 150 --out attacked
     """
+    from viewshed_lab.threats.attacks import EARLIER
+
     chosen = (attack, budget, mode, placement, victim)
     _attack_plan(*chosen, options.parse_grid(grid))  # refuses what cannot be before SRC is read
     sweeps = _opened(sources, split, grid, sensor)
+    if attack in EARLIER and all(part.last <= 1 for part in sweeps.parts):
+        raise ValueError(f"{attack} needs an earlier sweep, got one of each scene; give a recording or a data set")
     plan = _attack_plan(*chosen, sweeps.layout.grid)
     _run(sources, sweeps, plan, out, seed, engine, workers)
 

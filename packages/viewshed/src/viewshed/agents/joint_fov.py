@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from viewshed.arrays import F64, Mask
-from viewshed.fov.estimate import CellState, FovEstimate
+from viewshed.fov.estimate import THRESHOLD, CellState, FovEstimate
 from viewshed.fov.union import claimed_at
 from viewshed.geometry import Rigid
 from viewshed.grid import BevGrid
@@ -22,7 +22,8 @@ class JointFov:
     grid: BevGrid  # where the cells are, about ``world_from_grid``
     world_from_grid: Rigid  # pose of the grid
     agents: tuple[str, ...]  # names
-    visible_prob: NDArray[np.float32]  # (cells, cells) probability that any trusted agent sees a target there
+    # (cells, cells) probability that any trusted agent sees a target there; below the threshold where nobody claims so
+    visible_prob: NDArray[np.float32]
     seen_by: NDArray[np.uint8]  # (cells, cells) uint8, how many agents claim to see it
     # (cells, cells) int8 number of the agent that sees it most surely, -1 where nobody sees it
     surest: NDArray[np.int8]
@@ -43,6 +44,8 @@ def joint_fov(
 ) -> JointFov:
     """Return what views with poses see together; an agent's claims count by how far it is trusted (A,).
 
+    Neither a low threshold of an agent's own nor a probability in cells that it calls HIDDEN or UNKNOWN is a claim.
+
     Raises:
         ValueError: a view has no pose, or there is another number of trusts.
     """
@@ -53,15 +56,24 @@ def joint_fov(
     most, surest = np.zeros(grid.shape), np.full(grid.shape, -1, np.int8)
     state = np.full(grid.shape, CellState.UNKNOWN, np.uint8)
     for number, (view, weight) in enumerate(zip(views, weights, strict=True)):
-        prob, claimed = claimed_at(view, grid, world_from_grid)
-        prob = weight * prob
+        prob, claimed, sees = _seen_at(view, grid, world_from_grid, weight)
         state[(claimed == CellState.HIDDEN) & (surest < 0)] = CellState.HIDDEN
         missed *= 1.0 - prob
-        seen_by += prob >= view.threshold
-        better = (prob > most) & (prob >= view.threshold)
-        surest[better], state[better], most = number, claimed[better], np.maximum(most, prob)
+        seen_by += sees
+        better = sees & (prob > most)
+        surest[better], state[better], most[better] = number, claimed[better], prob[better]
+    visible = np.where(seen_by > 0, 1.0 - missed, np.minimum(1.0 - missed, np.nextafter(np.float32(THRESHOLD), 0.0)))
     agents = tuple(view.agent for view in views)
-    return JointFov(grid, world_from_grid, agents, (1.0 - missed).astype(np.float32), seen_by, surest, state)
+    return JointFov(grid, world_from_grid, agents, visible.astype(np.float32), seen_by, surest, state)
+
+
+def _seen_at(
+    view: FovEstimate, grid: BevGrid, world_from_grid: Rigid, weight: float = 1.0
+) -> tuple[F64, NDArray[np.uint8], Mask]:
+    """Return weighted probability and state (cells, cells) that a view claims, and where it claims to see."""
+    prob, state = claimed_at(view, grid, world_from_grid)
+    visible = (state == CellState.FREE) | (state == CellState.SURFACE)
+    return weight * prob, state, visible & (weight * prob >= max(view.threshold, THRESHOLD))
 
 
 def confirmed(
@@ -85,7 +97,7 @@ def confirmed(
     agreed = np.zeros(view.grid.shape, np.uint8)
     for other, one in zip(others, trust, strict=True):
         if one >= least:
-            agreed += claimed_at(other, view.grid, view.world_from_level)[0] >= other.threshold
+            agreed += _seen_at(other, view.grid, view.world_from_level)[2]
     doubtful = cells & view.visible() & (agreed < votes)
     prob = np.where(doubtful, np.minimum(view.visible_prob, np.float32(0.5 * view.threshold)), view.visible_prob)
     return replace(view, visible_prob=prob, state=np.where(doubtful, np.uint8(CellState.UNKNOWN), view.state))

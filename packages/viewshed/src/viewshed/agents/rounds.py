@@ -15,7 +15,7 @@ where they are heard.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -55,8 +55,8 @@ SILENT_S = 10.0
 MOST_OPEN = 64
 """Most rounds that wait at once: an agent that reports one time again and again fills no memory."""
 
-MOST_CELLS = 512
-"""Cells along a side of a joint field of view."""
+MOST_CELLS, COARSEST = 512, 4.0
+"""Most cells along a side of a joint field of view, and how much larger they are than those of the views at most."""
 
 WHY = {
     "reports": "its reports contradict the others",
@@ -106,13 +106,15 @@ class Round:
     def joint(self) -> JointFov:
         """The joint field of view, about the middle of the agents; each counts by how far it is trusted.
 
-        Who is accused counts as little as one that nobody trusts, whether by its reports or by its view.
+        Who is accused counts as little as one that nobody trusts, whether by its reports or by its view. Middle and
+        size of cells are medians, and what lies too far from there is left out: one agent alone sets neither.
         """
         places = np.array([report.world_from_level.translation for report in self.reports])
         grids = [report.estimate.grid for report in self.reports]
-        middle, extent_m = places.mean(axis=0), max(grid.half_extent_m for grid in grids)
-        half_m = extent_m + float(np.abs(places - middle).max())
-        grid = BevGrid(min(MOST_CELLS, round(2 * half_m / grids[0].cell_m)), half_m)
+        middle, cell_m = np.median(places, axis=0), sorted(grid.cell_m for grid in grids)[(len(grids) - 1) // 2]
+        half_m = max(grid.half_extent_m for grid in grids) + float(np.abs(places - middle).max())
+        half_m = min(half_m, COARSEST * MOST_CELLS * cell_m / 2)
+        grid = BevGrid(min(MOST_CELLS, round(2 * half_m / cell_m)), half_m)
         weights = np.where(self.accused, LEAST_TRUST, self.picture.verdicts.trust)
         trust = dict(zip(self.picture.agents, weights.tolist(), strict=True))
         return joint_fov(
@@ -359,10 +361,10 @@ class Rounds:
 
     def _gather(self, t_s: float, stated_s: float, report: AgentReport) -> None:
         """Take a report into the open round of its time, or else of its stated time, or open a round."""
-        chosen = self._nearest(report.agent, lambda each: abs(each.t_s - t_s))
+        chosen = self._nearest(report.agent, t_s, stated=False)
         # Clocks that seem to be behind may be right, and their reports delayed.
         if chosen is None and stated_s < t_s:
-            chosen = self._nearest(report.agent, lambda each: abs(each.stated_s - stated_s))
+            chosen = self._nearest(report.agent, stated_s, stated=True)
             t_s = t_s if chosen is None else chosen.t_s
         if chosen is None:
             # Of the last round as well, where the agent was missing in it.
@@ -378,17 +380,19 @@ class Rounds:
         for each in self._open[: self._open.index(chosen)]:
             each.passed.add(report.agent)
 
-    def _nearest(self, agent: str, apart_s: Callable[[_OpenRound], float]) -> _OpenRound | None:
+    def _nearest(self, agent: str, t_s: float, *, stated: bool) -> _OpenRound | None:
         """Return the nearest open round within the slop that an agent is not in, the fullest of those about as near.
 
-        So an agent that reports often, and opens rounds, draws no others into them.
+        So an agent that reports often, and opens rounds, draws no others into them. How near a round is says its
+        nearest report: the median of two, of which one agent sets one, would set apart who reports of one time.
         """
-        fitting = [each for each in self._open if agent not in each.reports and apart_s(each) <= self.slop_s]
-        return min(
-            fitting,
-            key=lambda each: (max(apart_s(each), self.slop_s / 2), -len(each.reports), apart_s(each)),
-            default=None,
-        )
+        fitting = []
+        for each in self._open:
+            apart_s = np.abs(np.array(each.times_s)[:, int(stated)] - t_s)
+            middle_s = abs((each.stated_s if stated else each.t_s) - t_s)
+            if agent not in each.reports and middle_s <= self.slop_s:
+                fitting.append((max(float(apart_s.min()), self.slop_s / 2), -len(each.reports), middle_s, each))
+        return min(fitting, key=lambda row: row[:3], default=(None,))[-1]
 
     def _ended(self) -> list[Round]:
         """Return the open rounds, one after the other, that wait for nobody any more."""

@@ -115,7 +115,7 @@ class ComparedView:
             from_above=report.elevated, nearest_m=NEAREST_M, farthest_m=min(FARTHEST_M, grid.half_extent_m),
             same_ground_m=SAME_GROUND_M,
         )  # fmt: skip
-        if self.visible.mean() < LEAST_SEEN:
+        if self.visible.sum() < LEAST_SEEN * self.visible.size:
             free = np.zeros_like(free)
         return np.column_stack([_shares(through, claimed, 0), _shares(denied, free, 1)])
 
@@ -156,7 +156,7 @@ def _lattice(grid: BevGrid) -> F64:
 @lru_cache(maxsize=4)
 def _lattice_numbers(grid: BevGrid) -> NDArray[np.intp]:
     """Return the flat numbers (P,) of the cells of the lattice, the nearest ones beyond the edge."""
-    cells = np.clip(((_lattice(grid) - grid.origin_m) / grid.cell_m).astype(np.intp), 0, grid.cells - 1)
+    cells = np.clip((_lattice(grid) - grid.origin_m) / grid.cell_m, 0, grid.cells - 1).astype(np.intp)
     return np.ravel_multi_index((cells[:, 0], cells[:, 1]), grid.shape)
 
 

@@ -180,7 +180,9 @@ class Calibration:
                 f"nothing is guaranteed at alpha {alpha:g}, delta {delta:g} by {self.shares.shape[1]} scenes;"
                 " choose a larger one, or calibrate on more scenes"
             )
-        claim: Mask = estimate.visible_prob >= THRESHOLDS[self.levels[step]][band_of_cells(estimate.grid)]
+        claim: Mask = estimate.visible() & (
+            estimate.visible_prob >= THRESHOLDS[self.levels[step]][band_of_cells(estimate.grid)]
+        )
         std_m = GROUND_STDS_M[self.stds[step]]
         if not np.isinf(std_m):
             claim &= ground_std(ground, estimate.grid) <= std_m
@@ -199,7 +201,7 @@ class Calibration:
         self._check(estimate)
         cells, inside = estimate.grid.index(xy)
         i, j = cells[..., 0], cells[..., 1]
-        bins = np.searchsorted(PLACE_EDGES, estimate.visible_prob[i, j], side="right") - 1
+        bins = np.searchsorted(PLACE_EDGES, np.where(estimate.visible(), estimate.visible_prob, 0.0)[i, j], "right") - 1
         bound = np.zeros((len(self.seen), len(PLACE_EDGES) + 1))  # the last one, of -1: below all bins
         for band, number in np.ndindex(self.seen.shape[:2]):
             count, visible = self.seen[band, number].tolist()

@@ -17,7 +17,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, Literal, Self, get_args
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -38,11 +38,8 @@ from viewshed.monitor.score import (
 from viewshed.monitor.tails import chance_of_more, heights_of, peaks_of, shape_of
 from viewshed.monitor.watch import Watch
 
-Promise = Literal["expected", "confident"]
-"""Which of the two rates must not exceed the chosen one."""
-
 CONFIDENCE = 0.9
-"""Probability of the confident promise."""
+"""Probability with which a promise says the upper end of a rate."""
 
 LEAST_MINUTES = 1.0
 """Driving without which nothing is calibrated."""
@@ -291,43 +288,32 @@ def _prior_scale(streams: Sequence[F32], kinds: Mapping[str, Evidence]) -> F32:
     return np.where(some, np.nanmedian(np.where(some, found, 1.0), axis=0), 1.0).astype(np.float32)
 
 
-def alarms_allowed(scenes: int, rate: float, promise: Promise = "expected", *, unit: str = "scenes") -> int:
+def alarms_allowed(scenes: int, rate: float, *, unit: str = "scenes") -> int:
     """Return how many of the benign scores of ``scenes`` scenes may lie above the limit of an alarm with this rate.
 
     Args:
         scenes: number of benign scores.
-        rate: of false alarms, in (0, 1).
-        promise: which rate it is.
+        rate: of false alarms, in (0, 1), expected.
         unit: what the message calls them.
 
     Raises:
         ValueError: there are too few for the rate, even with none above.
 
-    >>> alarms_allowed(999, 0.001), alarms_allowed(2302, 0.001, "confident")
-    (0, 0)
+    >>> alarms_allowed(999, 0.001), alarms_allowed(1999, 0.001)
+    (0, 1)
     """
     if not 0.0 < rate < 1.0:
         raise ValueError(f"a false-alarm rate must lie in (0, 1), got {rate}")
-    if promise not in get_args(Promise):
-        raise ValueError(f"promise must be expected or confident, got {promise}")
-    if promise == "expected":
-        need = math.ceil(1.0 / rate - 1e-9) - 1
-        allowed = math.floor((scenes + 1) * rate + 1e-9) - 1
-    else:
-        # With m above the limit the rate is Beta(m + 1, n - m), which exceeds `rate` as often as Binomial(n, rate) ≤ m.
-        need = math.ceil(math.log(1.0 - CONFIDENCE) / math.log1p(-rate) - 1e-9)
-        allowed = int(np.searchsorted(_binomial_cdf(scenes, rate), 1.0 - CONFIDENCE + 1e-12, "right")) - 1
-    if scenes < need or allowed < 0:
-        word = "" if promise == "expected" else f" with probability {CONFIDENCE:g}"
-        raise ValueError(f"a false-alarm rate of {rate:g}{word} needs at least {need} benign {unit}, got {scenes}")
-    return allowed
+    need = math.ceil(1.0 / rate - 1e-9) - 1
+    if scenes < need:
+        raise ValueError(f"a false-alarm rate of {rate:g} needs at least {need} benign {unit}, got {scenes}")
+    return math.floor((scenes + 1) * rate + 1e-9) - 1
 
 
-def alarm_limit(benign: ArrayLike, rate: float, promise: Promise = "expected", *, unit: str = "sweeps") -> float:
+def alarm_limit(benign: ArrayLike, rate: float, *, unit: str = "sweeps") -> float:
     """Return the score above which a further benign one lies with at most this probability.
 
-    The (n - m)-th smallest of n scores, with m = ``alarms_allowed(n, rate, promise)``: for the expected rate the
-    ⌈(n + 1)(1 - rate)⌉-th.
+    The (n - m)-th smallest of n scores, with m = ``alarms_allowed(n, rate)``: the ⌈(n + 1)(1 - rate)⌉-th.
 
     Raises:
         ValueError: the rate is not in (0, 1), there are too few scores for it, or one is NaN.
@@ -336,8 +322,8 @@ def alarm_limit(benign: ArrayLike, rate: float, promise: Promise = "expected", *
     18.0
     """
     scores = np.asarray(benign, np.float64)
-    allowed = alarms_allowed(len(scores), rate, promise, unit=unit)
-    return float(np.sort(_checked("benign", scores))[len(scores) - 1 - allowed])
+    allowed = alarms_allowed(len(scores), rate, unit=unit)
+    return float(np.sort(checked_scores("benign", scores))[len(scores) - 1 - allowed])
 
 
 def evidence_id(kinds: Mapping[str, Evidence]) -> str:
@@ -442,16 +428,8 @@ def kind_of_monitor(path: str | Path) -> str:
         return ""
 
 
-def _binomial_cdf(trials: int, rate: float) -> F64:
-    """Return P(Binomial(trials, rate) ≤ j) for j of 0 to ``trials``."""
-    j = np.arange(1, trials + 1)
-    steps = np.log((trials - j + 1) / j) + math.log(rate) - math.log1p(-rate)
-    logs = np.concatenate([[0.0], np.cumsum(steps)]) + trials * math.log1p(-rate)
-    cdf: F64 = np.minimum(np.cumsum(np.exp(logs)), 1.0)
-    return cdf
-
-
-def _checked(name: str, values: ArrayLike) -> F64:
+def checked_scores(name: str, values: ArrayLike) -> F64:
+    """Return scores (N,), one or more, or raise a ValueError that begins with their name."""
     scores = np.asarray(values, np.float64)
     if scores.ndim != 1 or not scores.size or np.isnan(scores).any():
         raise ValueError(f"{name} must be one or more scores, none of them NaN, got shape {scores.shape}")

@@ -98,7 +98,7 @@ def against_table(leveled: LeveledSweep) -> list[str]:
     if len(low) == len(alive) and (dead := int((between & low).sum())):
         reasons.append(f"{dead} of {low.sum()} beams below the horizon return nothing")
     # 2. Directions in which not one beam returns.
-    points = leveled.sweep.points
+    points = leveled.sweep.points[leveled.sweep.points.any(axis=1)]  # at the origin is none
     counts = np.bincount(sector_of(np.arctan2(points[:, 1], points[:, 0])), minlength=SECTORS)
     empty = np.append(counts == 0, (counts == 0)[:EMPTY_SECTORS])
     longest = max((len(run) for run in "".join("x" if one else " " for one in empty).split()), default=0)

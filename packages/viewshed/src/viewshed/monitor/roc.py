@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from viewshed.arrays import F64
+from viewshed.monitor.calibration import checked_scores
 
 
 def roc_curve(benign: ArrayLike, attacked: ArrayLike) -> tuple[F64, F64, F64]:
@@ -16,7 +17,7 @@ def roc_curve(benign: ArrayLike, attacked: ArrayLike) -> tuple[F64, F64, F64]:
     >>> roc_curve([1, 2], [2, 3])
     (array([0. , 0. , 0.5, 1. ]), array([0. , 0.5, 1. , 1. ]), array([  3.,   2.,   1., -inf]))
     """
-    false, true = _scores("benign", benign), _scores("attacked", attacked)
+    false, true = checked_scores("benign", benign), checked_scores("attacked", attacked)
     limits = np.append(np.unique(np.concatenate([false, true]))[::-1], -np.inf)
     return _share_above(false, limits), _share_above(true, limits), limits
 
@@ -27,7 +28,7 @@ def auroc(benign: ArrayLike, attacked: ArrayLike) -> float:
     >>> auroc([1, 2], [2, 3])
     0.875
     """
-    false, true = np.sort(_scores("benign", benign)), _scores("attacked", attacked)
+    false, true = np.sort(checked_scores("benign", benign)), checked_scores("attacked", attacked)
     below, not_above = np.searchsorted(false, true, "left"), np.searchsorted(false, true, "right")
     return int(below.sum() + not_above.sum()) / (2 * len(false) * len(true))
 
@@ -47,7 +48,7 @@ def auroc_interval(
     Raises:
         ValueError: no scores, one is not a number, or pairs are not complete.
     """
-    false, true = _scores("benign", benign), _scores("attacked", attacked)
+    false, true = checked_scores("benign", benign), checked_scores("attacked", attacked)
     if paired and len(false) != len(true):
         raise ValueError(f"pairs must be complete, got {len(false)} benign and {len(true)} attacked scores")
     wins = (true > false[:, None]) + 0.5 * (true == false[:, None])
@@ -79,13 +80,6 @@ def tpr_at_fpr(benign: ArrayLike, attacked: ArrayLike, rate: float) -> float:
         raise ValueError(f"rate must lie in [0, 1], got {rate}")
     false, true, _ = roc_curve(benign, attacked)
     return float(true[false <= rate + 1e-12].max())
-
-
-def _scores(name: str, values: ArrayLike) -> F64:
-    scores = np.asarray(values, np.float64)
-    if scores.ndim != 1 or not scores.size or np.isnan(scores).any():
-        raise ValueError(f"{name} must be one or more scores, none of them NaN, got shape {scores.shape}")
-    return scores
 
 
 def _share_above(scores: F64, limits: F64) -> F64:

@@ -373,7 +373,7 @@ class BlackBox(Checked):
 
     objective: Objective  # what the attacker wants
     budget: Budget = 150  # most returns; None for every beam of the wedge
-    queries: Annotated[int, Between(1, 10_000_000)] = 200  # most questions to the victim
+    queries: Annotated[int, Between(2, 10_000_000)] = 200  # most questions to the victim; two are of the clean sweep
     sector_deg: Sector = 30.0  # width of the wedge
     # middle of the wedge in the sensor's frame; None aims at an obstacle as a far wall is aimed
     azimuth: Azimuth = None
