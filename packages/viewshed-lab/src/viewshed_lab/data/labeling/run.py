@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
@@ -76,27 +78,30 @@ def label(
         ValueError: the recording has no sweeps, or the place holds something else.
         OSError: something cannot be read or written.
     """
-    jobs, problems = jobs_of(origin, rules)
+    jobs, problems, listing = jobs_of(origin, rules)
     if on_progress is not None and problems:
         on_progress(ShardResult(None, problems))
     if not jobs:
-        raise ValueError(f"{origin.place} must hold sweeps, got none that can be labeled")
+        raise ValueError(f"{Storage.of(origin.place).place} must hold sweeps, got none that can be labeled")
     layout = Layout(rules.grid, tuple(sorted(target.name for target in TARGETS)), ("farthest", "first_blocker"))
-    return build_archive(recipe_of(origin, rules), layout, jobs, store, engine, on_progress)
+    return build_archive(recipe_of(origin, rules, listing), layout, jobs, store, engine, on_progress)
 
 
-def recipe_of(origin: Origin, rules: LabelRules) -> dict[str, Any]:
-    """Return how a recording was labeled, as plain values."""
-    about = {"command": "label", "source": Path(origin.place).name, "definition": rules.definition}
+def recipe_of(origin: Origin, rules: LabelRules, listing: Sequence[Any]) -> dict[str, Any]:
+    """Return how a recording was labeled, as plain values; ``listing`` names its sweeps."""
+    source = Path(Storage.of(origin.place).place).name  # a URI's options may hold secrets
+    about = {"command": "label", "source": source, "definition": rules.definition}
     config = {"kind": origin.kind, "sensor": origin.sensor, "every": origin.every}
+    config |= {"sweeps": hashlib.sha256(json.dumps(listing).encode()).hexdigest()}
     config |= {"target": rules.target, "neighbors": rules.neighbors}
     return about | {"config": config, "targets": {target.name: asdict(target) for target in TARGETS}}
 
 
-def jobs_of(origin: Origin, rules: LabelRules) -> tuple[list[ShardJob], tuple[str, ...]]:
-    """Return the shards of a recording's labels, in order, and one line for each thing that is damaged."""
+def jobs_of(origin: Origin, rules: LabelRules) -> tuple[list[ShardJob], tuple[str, ...], list[Any]]:
+    """Return the shards of a recording's labels, in order, a line for each thing that is damaged, and its sweeps."""
     source = opened(origin)
     jobs: list[ShardJob] = []
+    listing = [shard.sha256 for shard in source.archive.shards] if isinstance(source, ArchiveSource) else list[Any]()
     problems = [*source.damage(), *source.notes()]  # a label needs poses, and all that was measured
     for number, scene in enumerate(source.scenes()):
         try:
@@ -104,6 +109,7 @@ def jobs_of(origin: Origin, rules: LabelRules) -> tuple[list[ShardJob], tuple[st
         except (ValueError, OSError) as error:
             problems.append(" ".join(str(error).split()))
             continue
+        listing += [(scene, Path(ref.file).name, ref.t_ns, ref.key) for ref in refs]
         # Sensors in the order in which they come, and how many of their sweeps are labeled.
         counts = Counter(dict.fromkeys(((ref.agent, ref.sensor) for ref in refs), 0))
         counts.update((ref.agent, ref.sensor) for ref in refs if ref.keyframe or origin.every)
@@ -113,7 +119,7 @@ def jobs_of(origin: Origin, rules: LabelRules) -> tuple[list[ShardJob], tuple[st
                 part_of = slice(first, first + FRAMES_PER_SHARD)
                 jobs.append(ShardJob(name, partial(labeled_samples, origin, rules, scene, sensor, part_of)))
     problems += [problem for problem in source.damage() if problem not in problems]
-    return jobs, tuple(problems)
+    return jobs, tuple(problems), listing
 
 
 def labeled_samples(
