@@ -132,6 +132,8 @@ def test_a_cut_shard_is_named_and_the_rest_is_read(archive: Archive, tmp_path: P
     ('"kind": "viewshed archive"', '"kind": "x"', "manifest.json is damaged"),
     ('"cells": 33', '"cells": 90000', "manifest.json is damaged: cells must lie"),
     ("{", "", "manifest.json is damaged"),
+    ("{", "[" * 100_000, "manifest.json is damaged"),
+    ('"shards": [', '"shards": 5, "_": [', "manifest.json is damaged"),
 ])  # fmt: skip
 def test_a_bad_manifest_is_one_line(archive: Archive, tmp_path: Path, before: str, after: str, message: str) -> None:
     path = tmp_path / "a" / "manifest.json"
@@ -209,6 +211,8 @@ def test_a_writer_refuses_what_does_not_fit(make_sample: MakeSample, tmp_path: P
         write_archive(tmp_path / "empty", [], {})
     with pytest.raises(ValueError, match="truth must have the layout of the archive"):
         write_archive(tmp_path / "odd", [make_sample(0), make_sample(1, cells=20, scene="b")], {})
+    with pytest.raises(ValueError, match="a scene must be in one split, got 's0' in 'train' and 'test'"):
+        write_archive(tmp_path / "cut", [make_sample(0), make_sample(1, split="test")], {})
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "x").write_text("x")
     with pytest.raises(ValueError, match="must be empty"):

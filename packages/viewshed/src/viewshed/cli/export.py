@@ -16,6 +16,10 @@ from viewshed.cli._places import place_of_result
 from viewshed.cli._stream import one_sweep
 
 
+_OF_SWEEPS = (None, None, None, 0, None, None, None, None, "cpu", AS_THEY_ARE)
+"""What options say that an estimate does not take, where they are not given."""
+
+
 def export(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="A sweep, or an estimate's .npz.")],
     to: Annotated[
@@ -63,6 +67,8 @@ def export(
         network = NetworkOptions(weights, passes, seed, device=device)
         estimator = network.estimator(method, None if grid is None else options.parse_grid(grid), target)
         stem = stem_of_result(stem, estimator.name)
+    elif (method, grid, index, number, target, weights, passes, seed, device, reading) != _OF_SWEEPS:
+        raise ValueError(f"{file} is an estimate: leave out all but --to, --sectors, --crs and --out, or name its sweep")
     place = place_of_result(out, stem + exporter.suffix)
     refuse_inputs([place], [file])
     earlier = format_of_content(place)

@@ -209,7 +209,8 @@ def write_archive(
         frames_per_shard: at most; a shard holds one scene.
 
     Raises:
-        ValueError: the place is not empty, there are no samples, or they differ in grid, targets or definitions.
+        ValueError: the place is not empty, there are no samples, they differ in grid, targets or definitions, or a
+            scene is in two splits.
         OSError: a file cannot be written.
     """
     if frames_per_shard < 1:
@@ -217,8 +218,10 @@ def write_archive(
     store, shards, layout = Storage.of(place), list[ShardFacts](), None
     if store.names():
         raise ValueError(f"{store.place} must be empty; choose another place")
-    for _, same_scene in groupby(samples, lambda sample: (sample.split, sample.scene)):
-        scene = iter(same_scene)
+    splits: dict[str, str] = {}
+    for (split, name), scene in groupby(samples, lambda sample: (sample.split, sample.scene)):
+        if splits.setdefault(name, split) != split:
+            raise ValueError(f"a scene must be in one split, got {name!r} in {splits[name]!r} and {split!r}")
         for first in scene:
             layout = layout or Layout.of(first.truth)
             if Layout.of(first.truth) != layout:

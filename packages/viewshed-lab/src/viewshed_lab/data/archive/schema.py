@@ -69,7 +69,7 @@ def reading(where: str) -> Iterator[None]:
 
     try:
         yield
-    except (ValueError, KeyError, OSError, OverflowError, pa.ArrowException) as error:
+    except (ValueError, KeyError, TypeError, OSError, OverflowError, RecursionError, pa.ArrowException) as error:
         raise ValueError(f"{where} is damaged: {one_line(error, 200)}; {REPAIR}") from error
 
 

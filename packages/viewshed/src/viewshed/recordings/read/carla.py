@@ -219,7 +219,7 @@ def read_poses(root: Path, folder: Path, damage: list[str]) -> dict[int, AgentPo
     poses: dict[int, AgentPose] = {}
     try:
         with open_input(inside(root, path)) as source:
-            text = source.content(_POSES_BYTES_MAX).decode("utf-8", "replace")
+            text = source.content(_POSES_BYTES_MAX).decode("utf-8-sig", "replace")
         for number, row in _rows(path, text):
             if number > _ROWS_MAX:
                 raise ValueError(f"{path}: must have at most {_ROWS_MAX} lines; the rest is left out")
