@@ -125,7 +125,7 @@ def verify(place: Place) -> None:
 @dataset_app.command()
 def wild(
     set_name: Annotated[
-        str, typer.Argument(metavar="SET", help="own, training or development; the sealed set is not made.")
+        str, typer.Argument(metavar="SET", help="own, training, learning (roads) or development; not sealed.")
     ],
     domain: Annotated[str, typer.Argument(metavar="GRID", help="road or indoor.")],
     out: Annotated[str | None, typer.Option(help="Folder or URI; SET-GRID if not given.")] = None,

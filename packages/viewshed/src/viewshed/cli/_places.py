@@ -36,7 +36,7 @@ def chosen_files(files: list[Path], index: Path | None) -> Iterator[tuple[Path, 
     if not files:
         named = [(file, entry) for file, entry in entries.items() if entry.points]
         if not named:
-            raise ValueError(f"{index} must name a sweep, got none")
+            raise ValueError(f"{index} must name a sweep, got none: one has a number of points in its stats")
         yield from named
     for file in files:
         entry = entries.get(Path(os.path.realpath(file)))

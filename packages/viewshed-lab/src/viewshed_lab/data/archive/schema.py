@@ -49,11 +49,6 @@ REPAIR = "run the command that made the archive again, it writes anew only what 
 _KIND = "viewshed archive"
 
 
-def is_archive(place: Path) -> bool:
-    """Return whether a folder holds an archive, from its names alone."""
-    return (place / MANIFEST).is_file()
-
-
 def check_version(where: str, table: Any) -> None:
     """Check the schema version in the plain values read from ``where``: it must be :data:`SCHEMA_VERSION`."""
     version = table.get("schema_version") if isinstance(table, dict) else None

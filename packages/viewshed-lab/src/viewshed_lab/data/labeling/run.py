@@ -16,12 +16,13 @@ from viewshed.io import IndexEntry, read_index, read_indexed
 from viewshed.preprocess.sensor_identification import infer_sensor
 from viewshed.recordings.read import open_source
 from viewshed.recordings.read.source import RecordingSource, SweepRef, SweepSource
+from viewshed.recordings.recording import is_data_set
 from viewshed.sensors import LidarModel, lidar_model
 from viewshed.sweep import Sweep
 from viewshed_lab._jobs import Engine
 from viewshed_lab.data.archive.archive import Archive, ArchiveSource
 from viewshed_lab.data.archive.build import FRAMES_PER_SHARD, ShardJob, ShardResult, build_archive
-from viewshed_lab.data.archive.schema import Layout, is_archive
+from viewshed_lab.data.archive.schema import Layout
 from viewshed_lab.data.archive.storage import Storage
 from viewshed_lab.data.labeling.labeler import TARGETS, LabeledDrive, LabelRules
 from viewshed_lab.data.sample import Sample
@@ -33,13 +34,21 @@ SPLIT = "all"
 
 @dataclass(frozen=True, slots=True)
 class Origin:
-    """A recording that is labeled; small enough to travel to other processes."""
+    """A recording that is labeled; small enough to travel to other processes.
+
+    Raises:
+        ValueError: no beam table has this name.
+    """
 
     place: str  # folder, file or URI
     kind: str = "auto"  # a name in ``SOURCES``, "archive", "index", or "auto" to know it by its layout
     # a beam table's name for sweeps that do not name theirs, "auto" to know it by the returns, or "none"
     sensor: str = "auto"
     every: bool = False  # whether sweeps that the recording does not mark as keyframes are labeled as well
+
+    def __post_init__(self) -> None:
+        if self.sensor not in ("auto", "none"):
+            lidar_model(self.sensor)
 
     def open(self) -> SweepSource:
         """Return the recording.
@@ -50,7 +59,7 @@ class Origin:
         """
         if self.kind == "index":
             return _open_index(self.place)
-        if self.kind == "archive" or (self.kind == "auto" and ("://" in self.place or is_archive(Path(self.place)))):
+        if self.kind == "archive" or (self.kind == "auto" and is_data_set(self.place)):
             return ArchiveSource.open(self.place)
         return open_source(self.place, self.kind)
 
@@ -101,6 +110,8 @@ def jobs_of(origin: Origin, rules: LabelRules) -> tuple[list[ShardJob], tuple[st
     """Return the shards of a recording's labels, in order, a line for each thing that is damaged, and its sweeps."""
     source = opened(origin)
     jobs: list[ShardJob] = []
+    if isinstance(source, ArchiveSource) and source.archive.manifest.recipe.get("command") == "attack":
+        raise ValueError(f"{source.archive.store.place} must be benign, got one under attack; label what it was made of")
     listing = [shard.sha256 for shard in source.archive.shards] if isinstance(source, ArchiveSource) else list[Any]()
     problems = [*source.damage(), *source.notes()]  # a label needs poses, and all that was measured
     for number, scene in enumerate(source.scenes()):
@@ -180,7 +191,7 @@ def _open_index(index: str) -> SweepSource:
             own = entry.file.relative_to(place.resolve().parent).as_posix()
             drives.setdefault(own if entry.seq is None else f"{entry.seq} ({entry.sensor})", []).append(entry)
     if not drives:
-        raise ValueError(f"{index} must name at least one sweep, got none")
+        raise ValueError(f"{index} must name at least one sweep, got none: one has a number of points in its stats")
     for entries in drives.values():
         entries.sort(key=lambda entry: (entry.t or 0.0, str(entry.file)))
     return _Index(place, drives)
