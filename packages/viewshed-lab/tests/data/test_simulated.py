@@ -12,15 +12,13 @@ from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from viewshed_lab._jobs import Done, J, LocalEngine, R
 from viewshed_lab.data import Archive, Storage
 from viewshed_lab.data import simulated as simulation
 from viewshed_lab.data.presets import Preset, preset_named
-from viewshed_lab.data.simulated import ScenePlan, jobs_of, world_of
-from viewshed_lab.sim.observe import pose_and_motion
+from viewshed_lab.data.simulated import jobs_of
 
 pytestmark = pytest.mark.slow
 
@@ -72,19 +70,6 @@ def test_the_archive_holds_what_the_preset_says(whole: Path) -> None:
     assert table["recipe"]["targets"]["pedestrian"]["min_returns"] == 3
     assert table["schema_version"] == 1
     assert set(_files(whole)) == {"manifest.json", *(shard["name"] for shard in table["shards"])}
-
-
-def test_the_motion_is_that_of_the_pose() -> None:
-    scene = ScenePlan(_small(), 0, 0)
-    world = world_of(scene)
-    [agent] = world.agents
-    for t_s in (1.0, 3.3):
-        _, motion = pose_and_motion(world, agent, t_s, 0.05)
-        before, after = (world.world_from_sensor(agent, t_s + step) for step in (-0.02, 0.02))
-        step = (after.translation - before.translation) / 0.04
-        assert np.allclose(motion.velocity_mps, step, atol=0.05 + 0.02 * np.linalg.norm(step))
-        assert motion.yaw_rate == pytest.approx((after.yaw - before.yaw) / 0.04, abs=0.02)
-        assert motion.period_s == 0.05
 
 
 class Backwards:

@@ -133,7 +133,7 @@ def wild(
         str,
         typer.Option("--known", help="What sweeps say of their sensor, in turn: table (its beams), rings, nothing."),
     ] = "rings,nothing",
-    scenes: Annotated[int | None, typer.Option(min=1, help="Number of scenes, the first ones; all if not given.")] = None,
+    scenes: Annotated[int | None, typer.Option(min=1, help="Number of scenes, the first ones; else all.")] = None,
     workers: options.Workers = None,
 ) -> None:
     """Make a set of unusual worlds, sensors and mountings. Stopped runs go on; the same bytes for any --workers.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -14,10 +15,6 @@ from viewshed.cli._options import AS_THEY_ARE, Device, NetworkOptions, Passes, R
 from viewshed.cli._outputs import refuse_inputs, report_doubts, stem_of, stem_of_result
 from viewshed.cli._places import place_of_result
 from viewshed.cli._stream import one_sweep
-
-
-_OF_SWEEPS = (None, None, None, 0, None, None, None, None, "cpu", AS_THEY_ARE)
-"""What options say that an estimate does not take, where they are not given."""
 
 
 def export(
@@ -67,8 +64,12 @@ def export(
         network = NetworkOptions(weights, passes, seed, device=device)
         estimator = network.estimator(method, None if grid is None else options.parse_grid(grid), target)
         stem = stem_of_result(stem, estimator.name)
-    elif (method, grid, index, number, target, weights, passes, seed, device, reading) != _OF_SWEEPS:
-        raise ValueError(f"{file} is an estimate: leave out all but --to, --sectors, --crs and --out, or name its sweep")
+    elif (
+        {method, grid, index, target, weights, passes, seed} != {None}
+        or (number, device) != (0, "cpu")
+        or (reading != AS_THEY_ARE)
+    ):
+        raise ValueError(f"{file} is an estimate: leave out all but --to, --sectors, --crs, --out, or name its sweep")
     place = place_of_result(out, stem + exporter.suffix)
     refuse_inputs([place], [file])
     earlier = format_of_content(place)
@@ -98,7 +99,9 @@ def _is_estimate(file: Path) -> bool:
     """Whether a file is an NPZ with a field of view in it; anything else is read as a sweep."""
     import zipfile
 
-    if file.suffix != ".npz" or not zipfile.is_zipfile(file):
-        return False
-    with zipfile.ZipFile(file) as archive:
-        return "visible_prob.npy" in archive.namelist()
+    from viewshed._files import DAMAGED
+
+    if file.suffix == ".npz":
+        with suppress(*DAMAGED), zipfile.ZipFile(file) as archive:
+            return "visible_prob.npy" in archive.namelist()
+    return False

@@ -5,8 +5,8 @@ from __future__ import annotations
 import hashlib
 import json
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass
 from functools import lru_cache, partial
 from itertools import count
 from pathlib import Path
@@ -26,7 +26,6 @@ from viewshed_lab.data.archive.schema import Layout
 from viewshed_lab.data.archive.storage import Storage
 from viewshed_lab.data.labeling.labeler import TARGETS, LabeledDrive, LabelRules
 from viewshed_lab.data.sample import Sample
-from viewshed_lab.sim.lidar.stored_sweep import StoredSweep
 
 SPLIT = "all"
 """Name of the split of recordings that have none."""
@@ -58,7 +57,7 @@ class Origin:
             OSError: it cannot be read.
         """
         if self.kind == "index":
-            return _open_index(self.place)
+            return _Index(self.place)
         if self.kind == "archive" or (self.kind == "auto" and is_data_set(self.place)):
             return ArchiveSource.open(self.place)
         return open_source(self.place, self.kind)
@@ -111,7 +110,7 @@ def jobs_of(origin: Origin, rules: LabelRules) -> tuple[list[ShardJob], tuple[st
     source = opened(origin)
     jobs: list[ShardJob] = []
     if isinstance(source, ArchiveSource) and source.archive.manifest.recipe.get("command") == "attack":
-        raise ValueError(f"{source.archive.store.place} must be benign, got one under attack; label what it was made of")
+        raise ValueError(f"{source.archive.store.place} must be benign, got one under attack; label its source")
     listing = [shard.sha256 for shard in source.archive.shards] if isinstance(source, ArchiveSource) else list[Any]()
     problems = [*source.damage(), *source.notes()]  # a label needs poses, and all that was measured
     for number, scene in enumerate(source.scenes()):
@@ -141,12 +140,13 @@ def labeled_samples(
     split = source.split(scene) if isinstance(source, ArchiveSource) else SPLIT
     refs = [ref for ref in source.refs(scene) if (ref.agent, ref.sensor) == sensor]
     wanted = [index for index, ref in enumerate(refs) if ref.keyframe or origin.every][part]
-    reader = _Reader(source, origin)
-    track = LabeledDrive.of(reader.sweep, refs, rules, (wanted[0], wanted[-1] + 1))
+    sweep_of = partial(_with_beams, source, origin.sensor, [])
+    track = LabeledDrive.of(sweep_of, refs, rules, (wanted[0], wanted[-1] + 1))
     for index in wanted:
         try:
             truth, known = track.label(index)
-            yield Sample(reader.stored(refs[index]), truth, known, scene, split)
+            measured = source.measured(refs[index]) if isinstance(source, ArchiveSource) else sweep_of(refs[index])
+            yield Sample(measured, truth, known, scene, split)
         except (ValueError, OSError) as error:
             problems.append(" ".join(str(error).split()))
 
@@ -157,56 +157,40 @@ def opened(origin: Origin) -> SweepSource:
     return origin.open()
 
 
-@dataclass(slots=True)
-class _Reader:
-    """Reads sweeps of one sensor and gives them its beam table where they do not name it."""
-
-    source: SweepSource
-    origin: Origin
-    _found: list[LidarModel | None] = field(default_factory=list)  # its beam table, once it was looked for
-
-    def sweep(self, ref: SweepRef) -> Sweep:
-        """Return a sweep with its beam table."""
-        sweep, named = self.source.read(ref), self.origin.sensor
-        if sweep.model is not None:
-            return sweep
-        if not self._found:
-            known = None if named in ("auto", "none") else lidar_model(named)
-            self._found.append(infer_sensor(sweep.points, sweep.ring)[0] if named == "auto" else known)
-        model = self._found[0]
-        fits = model is not None and (sweep.ring is None or int(sweep.ring.max(initial=0)) < model.rings)
-        return sweep.replace(model=model) if fits else sweep
-
-    def stored(self, ref: SweepRef) -> StoredSweep | Sweep:
-        """Return what the archive of labels keeps of a sweep."""
-        return self.source.measured(ref) if isinstance(self.source, ArchiveSource) else self.sweep(ref)
-
-
-def _open_index(index: str) -> SweepSource:
-    """Return the sweeps that an index names; those of one drive are a scene, each other one its own."""
-    place = Path(index).absolute()
-    drives: dict[str, list[IndexEntry]] = {}
-    for entry in read_index(index):
-        if entry.points:  # of a drive and its sensor, or by its own name
-            own = entry.file.relative_to(place.resolve().parent).as_posix()
-            drives.setdefault(own if entry.seq is None else f"{entry.seq} ({entry.sensor})", []).append(entry)
-    if not drives:
-        raise ValueError(f"{index} must name at least one sweep, got none: one has a number of points in its stats")
-    for entries in drives.values():
-        entries.sort(key=lambda entry: (entry.t or 0.0, str(entry.file)))
-    return _Index(place, drives)
+def _with_beams(source: SweepSource, named: str, found: list[LidarModel | None], ref: SweepRef) -> Sweep:
+    """Return a sweep with its beam table, or with that of its sensor, which ``found`` keeps once it was looked for."""
+    sweep = source.read(ref)
+    if sweep.model is not None:
+        return sweep
+    if not found:
+        known = None if named in ("auto", "none") else lidar_model(named)
+        found.append(infer_sensor(sweep.points, sweep.ring)[0] if named == "auto" else known)
+    [model] = found
+    fits = model is not None and (sweep.ring is None or int(sweep.ring.max(initial=0)) < model.rings)
+    return sweep.replace(model=model) if fits else sweep
 
 
 class _Index(RecordingSource):
-    """The sweeps of an index by drive."""
+    """The sweeps that an index names; those of one drive are a scene, each other one its own."""
 
-    def __init__(self, place: Path, drives: Mapping[str, Sequence[IndexEntry]]) -> None:
-        self.place, self._drives = place, drives
-        self.sweeps: dict[str, list[SweepRef]] = {scene: [] for scene in drives}
-        for scene, entries in drives.items():
-            for k, entry in enumerate(entries):
-                t_ns = None if entry.t is None else round(entry.t * 1e6) * 1000
-                self.sweeps[scene].append(SweepRef(scene, k, str(entry.file), t_ns, key=str(k)))
+    def __init__(self, index: str) -> None:
+        self.place = Path(index).absolute()
+        self._drives: dict[str, list[IndexEntry]] = {}
+        for entry in read_index(index):
+            if entry.points:  # of a drive and its sensor, or by its own name
+                own = entry.file.relative_to(self.place.resolve().parent).as_posix()
+                scene = own if entry.seq is None else f"{entry.seq} ({entry.sensor})"
+                self._drives.setdefault(scene, []).append(entry)
+        if not self._drives:
+            raise ValueError(f"{index} must name at least one sweep, got none: one has a number of points in its stats")
+        self.sweeps: dict[str, list[SweepRef]] = {}
+        for scene, entries in self._drives.items():
+            entries.sort(key=lambda entry: (entry.t or 0.0, str(entry.file)))
+            times_ns = [None if entry.t is None else round(entry.t * 1e6) * 1000 for entry in entries]
+            self.sweeps[scene] = [
+                SweepRef(scene, k, str(entry.file), t_ns, key=str(k))
+                for k, (entry, t_ns) in enumerate(zip(entries, times_ns, strict=True))
+            ]
 
     def _read(self, ref: SweepRef) -> Sweep:
         """Return a sweep with what the index tells about it."""

@@ -223,7 +223,7 @@ class PoseFile:
         numbers = self._numbers_of(files)
         if len(files) > 1:
             if number:
-                raise ValueError(f"{self.place}: must have a line for each sweep of several files, {file.name} holds more")
+                raise ValueError(f"{file.name} holds several sweeps, {self.place} must have one line for each file")
             number = (numbers or range(len(files)))[list(files).index(file)]
         elif numbers and not (file.suffix == ".pcap" or is_recording(file)):  # those hold several sweeps
             number = numbers[0]
