@@ -14,7 +14,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+import viewshed
 from viewshed_lab.data import Archive, Sample, Storage, write_archive, write_shard
+from viewshed_lab.data.archive import schema
 from viewshed_lab.data.archive.shard import Shard
 
 MakeSample = Callable[..., Sample]
@@ -182,6 +184,11 @@ def test_a_manifest_that_contradicts_a_shard_is_noticed(
         opened[3]
     assert "shard-00001.parquet is damaged" in str(caught.value)
     assert str(caught.value) == problems["shard-00001.parquet"]
+
+
+def test_a_package_near_the_root_knows_no_commit(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(schema, "__file__", "/app/viewshed_lab/schema.py")
+    assert schema.code_version() == {"version": viewshed.__version__, "commits": []}
 
 
 def test_a_shard_of_another_schema_is_refused(make_sample: MakeSample, tmp_path: Path) -> None:

@@ -114,6 +114,11 @@ def test_real_drives_are_labeled(real_data: Path, tmp_path: Path) -> None:
     assert source.damage() == ()
     with pytest.raises(ValueError, match=r"ref must be one of .*index\.json, got x"):
         source.read(replace(refs[0], file="x"))
+    (tmp_path / "in").mkdir()
+    (tmp_path / "in" / "a.bin").write_bytes(b"x")
+    (tmp_path / "in" / "index.json").symlink_to(tmp_path / "index.json")
+    (tmp_path / "index.json").write_text('[{"file": "a.bin", "sensor": "x", "stats": {"points": 1}}]', encoding="utf-8")
+    assert Origin(str(tmp_path / "in" / "index.json"), "index").open().scenes() == ("a.bin",)
     (tmp_path / "index.json").write_text("[]", encoding="utf-8")
     with pytest.raises(ValueError, match="must name at least one sweep, got none"):
         Origin(str(tmp_path / "index.json"), "index").open()

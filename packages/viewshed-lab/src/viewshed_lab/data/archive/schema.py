@@ -209,7 +209,7 @@ class ShardFacts:
 
 def code_version(commits: Sequence[str] = ()) -> dict[str, Any]:
     """Return the version of this code and its commit, if that is known, among ``commits`` of earlier runs."""
-    own = _commit(Path(__file__).resolve().parents[6])
+    own = _commit([*Path(__file__).resolve().parents][:7][-1])  # a package may lie nearer to the root
     return {"version": viewshed.__version__, "commits": sorted({*commits, *([own] if own else [])})}
 
 

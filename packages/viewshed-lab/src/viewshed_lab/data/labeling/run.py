@@ -178,7 +178,7 @@ class _Index(RecordingSource):
         self._drives: dict[str, list[IndexEntry]] = {}
         for entry in read_index(index):
             if entry.points:  # of a drive and its sensor, or by its own name
-                own = entry.file.relative_to(self.place.resolve().parent).as_posix()
+                own = entry.file.relative_to(self.place.parent.resolve()).as_posix()
                 scene = own if entry.seq is None else f"{entry.seq} ({entry.sensor})"
                 self._drives.setdefault(scene, []).append(entry)
         if not self._drives:

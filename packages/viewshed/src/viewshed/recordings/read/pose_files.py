@@ -41,9 +41,6 @@ _GAP_NS = 2_000_000_000
 
 _USUAL_PERIOD_NS = 100_000_000
 
-_SECONDS_MAX = 9e9
-"""What int64 holds in nanoseconds; times in other units since 1970 lie beyond."""
-
 _UNIT_NS = {10: 1_000_000_000, 13: 1_000_000, 16: 1000, 19: 1}
 """Nanoseconds of the unit of a time since 1970 in a file's name, by the number of its digits."""
 
@@ -269,7 +266,7 @@ def _words(line: str) -> list[str]:
 
 
 def _nanoseconds(seconds: NDArray[np.float64]) -> NDArray[np.int64]:
-    if len(seconds) and np.abs(seconds).max() >= _SECONDS_MAX:
+    if np.abs(seconds).max(initial=0.0) >= 9e9:  # beyond int64 in nanoseconds, as in other units since 1970
         raise ValueError(f"times must be seconds, got {seconds[np.abs(seconds).argmax()]:.0f}")
     return np.round(seconds * 1e9).astype(np.int64)
 
