@@ -9,7 +9,6 @@ import sys
 import time
 from collections.abc import Callable, Generator, Sequence
 from dataclasses import replace
-from itertools import islice
 from pathlib import Path
 
 import pytest
@@ -18,7 +17,6 @@ from viewshed_lab._jobs import Done, J, LocalEngine, R
 from viewshed_lab.data import Archive, Storage
 from viewshed_lab.data import simulated as simulation
 from viewshed_lab.data.presets import Preset, preset_named
-from viewshed_lab.data.simulated import jobs_of
 
 pytestmark = pytest.mark.slow
 
@@ -70,19 +68,6 @@ def test_the_archive_holds_what_the_preset_says(whole: Path) -> None:
     assert table["recipe"]["targets"]["pedestrian"]["min_returns"] == 3
     assert table["schema_version"] == 1
     assert set(_files(whole)) == {"manifest.json", *(shard["name"] for shard in table["shards"])}
-
-
-class Backwards:
-    """An engine that does the last job first."""
-
-    def run(self, work: Callable[[J], R], jobs: Sequence[J]) -> Generator[Done[R], None, None]:
-        for index in reversed(range(len(jobs))):
-            yield Done(index, work(jobs[index]), None)
-
-
-def test_the_order_of_the_shards_does_not_matter(whole: Path, tmp_path: Path) -> None:
-    simulation.simulate(_small(), Storage.of(tmp_path / "b"), Backwards())
-    assert _files(tmp_path / "b") == _files(whole)
 
 
 def test_a_run_that_is_killed_goes_on_with_other_workers(whole: Path, tmp_path: Path) -> None:
@@ -153,14 +138,3 @@ def test_another_version_does_not_go_on(whole: Path, tmp_path: Path) -> None:
     (tmp_path / "manifest.json").write_text(text, "utf-8")
     with pytest.raises(ValueError, match=r"was begun with viewshed 9.*; finish it with that version"):
         simulation.simulate(_small(), Storage.of(tmp_path), LocalEngine(1))
-
-
-def test_several_agents_measure_at_the_same_time() -> None:
-    preset = replace(preset_named("carla-small").scaled(30), grid_cells=16)
-    [job] = [job for job in jobs_of(preset) if job.name.startswith("train")]
-    frames = list(islice(job.samples([]), 12))
-    assert {frame.split for frame in frames} == {"train"}
-    assert len({frame.measured.agent for frame in frames[:10]}) == 10
-    assert len({frame.measured.t_ns for frame in frames[:10]}) == 1
-    assert frames[10].measured.agent == frames[0].measured.agent
-    assert frames[10].measured.t_ns == 750_000_000

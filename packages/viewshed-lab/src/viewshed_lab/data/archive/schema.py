@@ -5,7 +5,7 @@ holds frames of one scene, one row group a frame, zstd level 1, page checksums o
 (:mod:`viewshed_lab.data.archive.columns`):
 
 - ``about``: JSON: agent, ``t_ns``, sensor (number of a beam table in the footer), height, pose, motion; for points
-  their number, columns and attitude; ``clean`` of an attacked sweep.
+  their number, columns, attitude and what else few sweeps say; ``clean`` of an attacked sweep.
 - ``ranges``: uint16 steps of range (C, R): ring by ring the zigzag differences along the columns, all low bytes, then
   all high bytes; null for points.
 - ``intensity``: uint8 (C, R); null for points.
@@ -108,8 +108,19 @@ _SINGLES = ("name", "azimuth_columns", "min_range_m", "max_range_m", "source")
 
 @lru_cache(maxsize=256)
 def text_of_model(model: LidarModel) -> str:
-    """Return a beam table as one line of JSON, angles in radians; equal tables give equal text."""
-    table: dict[str, Any] = {key: getattr(model, key) for key in _SINGLES}
+    """Return a beam table as one line of JSON, angles in radians; equal tables give equal text.
+
+    The reach of one that is shipped is not in it: it is that of the table by its beams.
+    """
+    text = _text_of(model)
+    shipped = _shipped_models().get(text)
+    if model.reach_m is None or (shipped is not None and shipped.reach_m == model.reach_m):
+        return text
+    return _text_of(model, reach_m=model.reach_m, reach_source=model.reach_source)
+
+
+def _text_of(model: LidarModel, **more: Any) -> str:
+    table: dict[str, Any] = {key: getattr(model, key) for key in _SINGLES} | more
     table |= {key: getattr(model, key).tolist() for key in _LISTS}
     if not model.fires_rings:
         table["fires_rings"] = False
@@ -125,15 +136,16 @@ def model_of_text(text: str) -> LidarModel:
     try:
         table = json.loads(text)
         return LidarModel(
-            **{key: table[key] for key in (*_SINGLES, *_LISTS)}, fires_rings=table.get("fires_rings", True)
-        )
+            **{key: table[key] for key in (*_SINGLES, *_LISTS)}, fires_rings=table.get("fires_rings", True),
+            reach_m=table.get("reach_m"), reach_source=table.get("reach_source", ""),
+        )  # fmt: skip
     except (KeyError, TypeError) as error:
         raise ValueError(f"a beam table must have the keys {', '.join((*_SINGLES, *_LISTS))}: {error}") from error
 
 
 @lru_cache(maxsize=1)
 def _shipped_models() -> dict[str, LidarModel]:
-    return {text_of_model(model): model for model in map(lidar_model, sensor_names())}
+    return {_text_of(model): model for model in map(lidar_model, sensor_names())}
 
 
 @dataclass(slots=True)
