@@ -15,8 +15,8 @@ from pathlib import Path
 
 from viewshed_lab._results import result_pages, with_numbers
 
-_HERE = Path(__file__).parents[4]
-"""The checkout that this file is of."""
+_HERE = [*Path(__file__).parents][:5][-1]
+"""The checkout that this file is of; a package may lie nearer to the root."""
 
 
 def facts(**more: str) -> dict[str, str]:

@@ -23,6 +23,7 @@ REFUSED = {
     "label nowhere": "nowhere: no such file or folder$",
     "label SET --definition best": "definition must be one of probe, farthest, first_blocker, got 'best'",
     "label SET --grid big": "grid must be one of road", "label SET --kind lost": "kind must be auto or one of",
+    "label SET --sensor hdl": "sensor must be one of .*, got 'hdl'",
     "simulate kitti": "preset must be one of carla, carla-small, .*, got 'kitti'",
     "simulate ugv --grid 4096x64": "got 4096: a frame would not fit into memory",
     "simulate ugv --sweeps 1": "sweeps must be at least 2, one for each split, got 1",
@@ -35,6 +36,7 @@ REFUSED = {
     "study robustness --preset nonsense": "preset must be one of full, small, tiny, got 'nonsense'",
     "study robustness --preset tiny --no-run": "must hold results, got none; run without --no-run$",
     "study guarantees --preset tiny --no-run": "must hold results, got none; run without --no-run$",
+    "dataset wild training road --scenes -1": "--scenes",
     "dataset info .": r"^viewshed: \S+ must be a data set of viewshed, but has no manifest\.json$",
 }  # fmt: skip
 """Command line, with SET for a data set → what its line must say."""

@@ -17,7 +17,7 @@ from viewshed.geometry import Rigid
 from viewshed.grid import BevGrid
 from viewshed.io import write_sweep
 from viewshed.sensors import LidarModel, lidar_model
-from viewshed.sweep import Sweep
+from viewshed.sweep import PlanarScan, Sweep
 from viewshed_lab.data import Sample
 from viewshed_lab.sim.lidar.stored_sweep import StoredSweep
 from viewshed_lab.sim.raycast.scan import Motion
@@ -44,7 +44,8 @@ def recording(tmp_path: Path) -> Path:
 def custom_model() -> LidarModel:
     """A sensor that is in no table."""
     elevation = np.deg2rad([-17.3, -3.1, 0.7])
-    return LidarModel("own", elevation, 40, np.deg2rad([0.1, 0.0, -0.2]), np.array([0.01, 0.0, -0.03]), 0.4, 77.7, "é")
+    offset, origin = np.deg2rad([0.1, 0.0, -0.2]), np.array([0.01, 0.0, -0.03])
+    return LidarModel("own", elevation, 40, offset, origin, 0.4, 77.7, "é", 33.0, "own")
 
 
 @pytest.fixture
@@ -99,6 +100,10 @@ def _points(rng: np.random.Generator, pose: Rigid) -> Sweep:
         world_from_sensor=pose if rng.random() < 0.5 else None,
         agent="ägent",
         dropped_points=3,
+        infer_sensor=bool(rng.random() < 0.5),
+        vehicle_yaw=0.25 if rng.random() < 0.5 else None,
+        planar=PlanarScan(np.array([0.5, -1.0]), np.inf) if rng.random() < 0.5 else None,
+        pose_covariance=np.eye(6) if rng.random() < 0.5 else None,
     )
 
 

@@ -9,18 +9,14 @@ import sys
 import time
 from collections.abc import Callable, Generator, Sequence
 from dataclasses import replace
-from itertools import islice
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from viewshed_lab._jobs import Done, J, LocalEngine, R
 from viewshed_lab.data import Archive, Storage
 from viewshed_lab.data import simulated as simulation
 from viewshed_lab.data.presets import Preset, preset_named
-from viewshed_lab.data.simulated import ScenePlan, jobs_of, world_of
-from viewshed_lab.sim.observe import pose_and_motion
 
 pytestmark = pytest.mark.slow
 
@@ -72,32 +68,6 @@ def test_the_archive_holds_what_the_preset_says(whole: Path) -> None:
     assert table["recipe"]["targets"]["pedestrian"]["min_returns"] == 3
     assert table["schema_version"] == 1
     assert set(_files(whole)) == {"manifest.json", *(shard["name"] for shard in table["shards"])}
-
-
-def test_the_motion_is_that_of_the_pose() -> None:
-    scene = ScenePlan(_small(), 0, 0)
-    world = world_of(scene)
-    [agent] = world.agents
-    for t_s in (1.0, 3.3):
-        _, motion = pose_and_motion(world, agent, t_s, 0.05)
-        before, after = (world.world_from_sensor(agent, t_s + step) for step in (-0.02, 0.02))
-        step = (after.translation - before.translation) / 0.04
-        assert np.allclose(motion.velocity_mps, step, atol=0.05 + 0.02 * np.linalg.norm(step))
-        assert motion.yaw_rate == pytest.approx((after.yaw - before.yaw) / 0.04, abs=0.02)
-        assert motion.period_s == 0.05
-
-
-class Backwards:
-    """An engine that does the last job first."""
-
-    def run(self, work: Callable[[J], R], jobs: Sequence[J]) -> Generator[Done[R], None, None]:
-        for index in reversed(range(len(jobs))):
-            yield Done(index, work(jobs[index]), None)
-
-
-def test_the_order_of_the_shards_does_not_matter(whole: Path, tmp_path: Path) -> None:
-    simulation.simulate(_small(), Storage.of(tmp_path / "b"), Backwards())
-    assert _files(tmp_path / "b") == _files(whole)
 
 
 def test_a_run_that_is_killed_goes_on_with_other_workers(whole: Path, tmp_path: Path) -> None:
@@ -168,14 +138,3 @@ def test_another_version_does_not_go_on(whole: Path, tmp_path: Path) -> None:
     (tmp_path / "manifest.json").write_text(text, "utf-8")
     with pytest.raises(ValueError, match=r"was begun with viewshed 9.*; finish it with that version"):
         simulation.simulate(_small(), Storage.of(tmp_path), LocalEngine(1))
-
-
-def test_several_agents_measure_at_the_same_time() -> None:
-    preset = replace(preset_named("carla-small").scaled(30), grid_cells=16)
-    [job] = [job for job in jobs_of(preset) if job.name.startswith("train")]
-    frames = list(islice(job.samples([]), 12))
-    assert {frame.split for frame in frames} == {"train"}
-    assert len({frame.measured.agent for frame in frames[:10]}) == 10
-    assert len({frame.measured.t_ns for frame in frames[:10]}) == 1
-    assert frames[10].measured.agent == frames[0].measured.agent
-    assert frames[10].measured.t_ns == 750_000_000

@@ -12,6 +12,7 @@ from viewshed.io import read_sweeps
 from viewshed_lab._jobs import LocalEngine
 from viewshed_lab.data.archive.build import ShardResult
 from viewshed_lab.data.archive.storage import Storage
+from viewshed_lab.data.labeling import LabelRules, Origin, label
 from viewshed_lab.data.presets import preset_named
 from viewshed_lab.data.simulated import simulate
 from viewshed_lab.data.tampered import (
@@ -106,6 +107,8 @@ def test_recordings_and_files_have_no_truth(recording: Path, tmp_path: Path) -> 
     made = tamper(sweeps, AttackPlan("uniform", 5), Storage.of(tmp_path / "out"), ONE, 0, told.append)
     assert [len(sample.sweep) for sample in made] == [45, 47, 45, 46, 47]
     assert not made[0].known.any()
+    with pytest.raises(ValueError, match="out must be benign, got one under attack"):
+        label(Origin(str(tmp_path / "out")), LabelRules(GRIDS["indoor"]), Storage.of(tmp_path / "labels"), ONE)
     problem = next(problem for one in told for problem in one.problems)
     assert problem.count("000001.bin") == 1
     folder = recording / "sequences" / "07" / "velodyne"

@@ -14,7 +14,6 @@ from viewshed_lab.data.archive.storage import Storage
 from viewshed_lab.data.wild import (
     GIVEN,
     OPEN_SEALED,
-    SETS,
     WildObservation,
     WildScene,
     check_apart,
@@ -27,7 +26,6 @@ from viewshed_lab.data.wild import (
 from viewshed_lab.sim.world import GROUND
 
 TABLES = wild_tables()
-APART = [name for name in SETS if name not in {"own", "learning"}]
 
 
 def first_scenes(count: int = 6) -> list[WildScene]:
@@ -51,14 +49,6 @@ def digest(seen: WildObservation) -> str:
         for target in sorted(sample.truth.expected_returns):
             out.update(sample.truth.expected_returns[target].tobytes())
     return out.hexdigest()
-
-
-def test_sets_share_no_style_sensor_mounting_or_seed() -> None:
-    for key in ("styles", "sensors", "mountings"):
-        taken = [{one for d in TABLES.of_set(name) for one in getattr(d, key)} for name in APART]
-        assert sum(map(len, taken)) == len(set().union(*taken)), key
-    seeds = [domain.seed for domain in TABLES.domains]
-    assert len(set(seeds)) == len(seeds)
 
 
 @pytest.mark.parametrize("key", ["styles", "sensors", "mountings", "seed"])

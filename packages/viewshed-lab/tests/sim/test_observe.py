@@ -40,9 +40,8 @@ def test_motion_is_that_of_the_carrier_and_masts_stand_still() -> None:
     driver, mast = WORLD.agents
     t = next(t for t in np.arange(0.5, 20.0, 0.5) if WORLD.pose_of(driver.carrier or 0, t + 1).translation[0] != 0)
     _, motion = pose_and_motion(WORLD, driver, float(t), 0.1)
-    moved = (
-        WORLD.world_from_sensor(driver, t + 0.05).translation - WORLD.world_from_sensor(driver, t - 0.05).translation
-    )
-    assert motion.velocity_mps == pytest.approx(tuple(moved / 0.1))
+    before, after = (WORLD.world_from_sensor(driver, t + step) for step in (-0.05, 0.05))
+    assert motion.velocity_mps == pytest.approx(tuple((after.translation - before.translation) / 0.1))
+    assert motion.yaw_rate == pytest.approx((after.yaw - before.yaw) / 0.1, abs=1e-3)
     assert pose_and_motion(WORLD, mast, 3.0, 0.1)[1].velocity_mps == (0.0, 0.0, 0.0)
     assert pose_and_motion(WORLD, driver, 3.0, 0.0)[1].period_s == 0.0

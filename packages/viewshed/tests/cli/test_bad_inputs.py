@@ -7,6 +7,7 @@ import fnmatch
 import json
 import os
 import shlex
+import struct
 from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
@@ -44,6 +45,7 @@ INPUTS: dict[str, bytes | str | Callable[[Path], object]] = {
     "other.json": json.dumps([{"file": "other.bin", "sensor": "HDL-32E", "stats": {"points": 1}}]),
     "net.onnx": lambda p: export_onnx(p, card(SHAPE, BevGrid(64, 16.0), threshold=0.7), nearby(SHAPE)),
     "words.onnx": "x", "words.npz": "x",
+    "torn.npz": bytes(46) + struct.pack("<4sHHHHIIH", b"PK\5\6", 0, 0, 1, 1, 46, 0, 0),
     # The first hour: what people have.
     "image.npy": files.npy(CLOUD[:, :3].repeat(40, axis=1)[:64]),
     "organized.npy": files.npy(np.zeros((8, 90, 3), np.float32)),
@@ -61,6 +63,7 @@ REPLACED = "is an input and would be replaced; choose another place"
 REFUSED = {
     # The first hour: what people have, or type.
     "estimate image.npy": "is it a range image?", "info organized.npy": "reshape it (points.reshape(-1, 3))",
+    "export torn.npz": "torn.npz: ",
     "estimate image.npz": "is it a range image?", "estimate two.npz": "a single one, got cloud, labels",
     "estimate mm.npy": "is the file in millimeters", "export mm.npy": "is the file in millimeters",
     "view mm.npy --html a.html": "is the file in millimeters",

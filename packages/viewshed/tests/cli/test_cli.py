@@ -117,6 +117,9 @@ def test_export_from_a_sweep_and_from_an_estimate_agree(name: str, tmp_path: Pat
         done = run("export", source, "--to", name, "--out", tmp_path / out)
         assert done.returncode == 0, done.stderr
     assert (tmp_path / "a.out").read_bytes() == (tmp_path / "b.out").read_bytes()
+    for word, value in (("--method", "unet"), ("--poses", "poses.txt"), ("--number", "1")):
+        done = run("export", tmp_path / "e.npz", word, value, "--to", name, "--out", tmp_path / "c.out")
+        assert (done.returncode, "e.npz is an estimate: leave out all but --to" in done.stderr) == (2, True)
 
 
 def test_export_writes_a_message_in_the_standards_bytes(tmp_path: Path) -> None:

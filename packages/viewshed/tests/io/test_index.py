@@ -72,6 +72,8 @@ def test_links_inside_the_folder_are_followed(tmp_path: Path) -> None:
         ({"file": "a.bin"}, "entry 0 has no 'sensor'"),
         ({"file": "a\0.bin", "sensor": "x"}, "entry 0: "),
         ({"file": "a.bin", "sensor": "x", "t": "late"}, "entry 0: could not convert string to float"),
+        ({"file": "a.bin", "sensor": "x", "t": 1.5e18}, r"entry 0: t must be seconds .*, got 1\.5e\+18"),
+        ({"file": "a.bin", "sensor": "x", "t": np.nan}, "entry 0: t must be seconds .*, got nan"),
         ({"file": "a.bin", "sensor": "x", "sensor_from_file": [[1]]}, r"entry 0: matrix must have shape \(4, 4\)"),
         ({"file": "a.bin", "sensor": "x", "sensor_from_file": np.diag([1, 1, -1, 1]).tolist()}, "right-handed"),
         ({"file": "a.bin", "sensor": "x", "world_from_sensor": np.diag([2, 2, 2, 1]).tolist()}, "orthonormal"),

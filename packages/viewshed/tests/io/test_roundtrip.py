@@ -40,6 +40,8 @@ def sweeps(draw: st.DrawFn) -> Sweep:
         model=model if draw(st.booleans()) else None,
         agent=draw(st.sampled_from(["ego", "car 2", "Übersicht"])),
         dropped_points=draw(st.integers(0, 5)),
+        infer_sensor=draw(st.booleans()),
+        vehicle_yaw=draw(st.one_of(st.none(), st.floats(-3, 3))),
         planar=draw(st.one_of(st.none(), st.builds(PlanarScan, hnp.arrays(np.float32, 3, elements=ANGLES), RANGES))),
         pose_covariance=np.diag(np.arange(6.0)) if draw(st.booleans()) else None,
     )
@@ -59,7 +61,7 @@ def test_npz_keeps_everything(suffix: str, sweep: Sweep, tmp_path: Path) -> None
     back = read_sweep(tmp_path / f"a{suffix}")
     for name in ("points", "intensity", "ring", "azimuth", "time_s", "attitude", "pose_covariance"):
         assert same(getattr(sweep, name), getattr(back, name)), name
-    for name in ("t_ns", "sensor_height_m", "agent", "dropped_points"):
+    for name in ("t_ns", "sensor_height_m", "agent", "dropped_points", "infer_sensor", "vehicle_yaw"):
         assert getattr(sweep, name) == getattr(back, name), name
     assert (sweep.world_from_sensor is None) == (back.world_from_sensor is None)
     if sweep.world_from_sensor is not None and back.world_from_sensor is not None:

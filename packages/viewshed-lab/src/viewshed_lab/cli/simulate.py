@@ -125,7 +125,7 @@ def verify(place: Place) -> None:
 @dataset_app.command()
 def wild(
     set_name: Annotated[
-        str, typer.Argument(metavar="SET", help="own, training or development; the sealed set is not made.")
+        str, typer.Argument(metavar="SET", help="own, training, learning (roads) or development; not sealed.")
     ],
     domain: Annotated[str, typer.Argument(metavar="GRID", help="road or indoor.")],
     out: Annotated[str | None, typer.Option(help="Folder or URI; SET-GRID if not given.")] = None,
@@ -133,8 +133,8 @@ def wild(
         str,
         typer.Option("--known", help="What sweeps say of their sensor, in turn: table (its beams), rings, nothing."),
     ] = "rings,nothing",
-    scenes: Annotated[int | None, typer.Option(help="Number of scenes, the first ones; all if not given.")] = None,
-    workers: Annotated[int | None, typer.Option(help="Processes; one for each core if not given.")] = None,
+    scenes: Annotated[int | None, typer.Option(min=1, help="Number of scenes, the first ones; else all.")] = None,
+    workers: options.Workers = None,
 ) -> None:
     """Make a set of unusual worlds, sensors and mountings. Stopped runs go on; the same bytes for any --workers.
 

@@ -21,16 +21,9 @@ _HOMES = {
 }  # fmt: skip
 
 __all__ = [
-    "SCHEMA_VERSION",
-    "Archive",
-    "Manifest",
-    "Sample",
-    "ShardFacts",
-    "Storage",
-    "open_release",
-    "write_archive",
+    "SCHEMA_VERSION", "Archive", "Manifest", "Sample", "ShardFacts", "Storage", "open_release", "write_archive",
     "write_shard",
-]
+]  # fmt: skip
 
 
 def __getattr__(name: str) -> Any:

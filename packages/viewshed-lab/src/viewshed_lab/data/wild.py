@@ -425,18 +425,3 @@ def make_wild_archive(
     jobs = [ShardJob(f"{scene.name}.parquet", partial(_samples, scene, given)) for scene in chosen]
     layout = Layout(one.grid, tuple(sorted(TARGETS)), ())
     return build_archive(recipe, layout, jobs, store, engine, on_progress)
-
-
-__all__ = [
-    "GIVEN",
-    "OPEN_SEALED",
-    "SETS",
-    "WildDomain",
-    "WildObservation",
-    "WildSample",
-    "WildScene",
-    "check_apart",
-    "wild_samples",
-    "wild_scenes",
-    "wild_tables",
-]  # fmt: skip

@@ -113,16 +113,3 @@ def test_a_neighbor_without_pose_or_damaged_is_left_out(drive: list[Shot]) -> No
     assert _f1(truth, drive[4], known) > 0.97
     with pytest.raises(ValueError, match="sweep 3 is damaged"):
         track.label(3)
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"definition": "best"}, "definition must be one of probe, farthest, first_blocker, got 'best'"),
-        ({"target": "tree"}, "target must be one of car, pedestrian, got 'tree'"),
-        ({"neighbors": -1}, r"neighbors must lie in \[0, 1000\], got -1"),
-    ],
-)
-def test_rules_are_checked(change: dict[str, object], message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        LabelRules(GRID, **change)  # type: ignore[arg-type]

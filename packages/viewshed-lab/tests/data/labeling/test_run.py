@@ -11,7 +11,7 @@ from viewshed_lab._jobs import LocalEngine
 from viewshed_lab.data import Archive, Sample, Storage, write_archive
 from viewshed_lab.data.archive.archive import ArchiveSource
 from viewshed_lab.data.labeling import LabelRules, Origin, label
-from viewshed_lab.data.labeling.run import opened
+from viewshed_lab.data.labeling.run import opened, recipe_of
 from viewshed_lab.data.presets import preset_named
 from viewshed_lab.data.simulated import simulate
 from viewshed_lab.sim.lidar.stored_sweep import StoredSweep
@@ -69,10 +69,14 @@ def test_the_truth_of_an_archive_is_not_looked_at(
     recording: Path, rules: LabelRules, labeled: Path, tmp_path: Path
 ) -> None:
     write_archive(tmp_path / "wrong" / "drive", map(_scrambled, Archive.open(recording)), {"command": "test"})
-    out = label(Origin(str(tmp_path / "wrong" / "drive")), rules, Storage.of(tmp_path / "b"), LocalEngine(1))
+    wrong = Origin(str(tmp_path / "wrong" / "drive"))
+    out = label(wrong, rules, Storage.of(tmp_path / "b"), LocalEngine(1))
     for one, other in zip(Archive.open(labeled), out, strict=True):
         assert (one.truth.expected_returns["car"] == other.truth.expected_returns["car"]).all()
         assert (one.known == other.known).all()
+    with pytest.raises(ValueError, match="a holds drive with other sweeps; choose another place"):
+        label(wrong, rules, Storage.of(labeled), LocalEngine(1))
+    assert recipe_of(Origin("s3://id:word@bucket/drive?region=eu-central-1"), rules, [])["source"] == "drive"
 
 
 def _scrambled(sample: Sample) -> Sample:
@@ -110,6 +114,11 @@ def test_real_drives_are_labeled(real_data: Path, tmp_path: Path) -> None:
     assert source.damage() == ()
     with pytest.raises(ValueError, match=r"ref must be one of .*index\.json, got x"):
         source.read(replace(refs[0], file="x"))
+    (tmp_path / "in").mkdir()
+    (tmp_path / "in" / "a.bin").write_bytes(b"x")
+    (tmp_path / "in" / "index.json").symlink_to(tmp_path / "index.json")
+    (tmp_path / "index.json").write_text('[{"file": "a.bin", "sensor": "x", "stats": {"points": 1}}]', encoding="utf-8")
+    assert Origin(str(tmp_path / "in" / "index.json"), "index").open().scenes() == ("a.bin",)
     (tmp_path / "index.json").write_text("[]", encoding="utf-8")
     with pytest.raises(ValueError, match="must name at least one sweep, got none"):
         Origin(str(tmp_path / "index.json"), "index").open()

@@ -20,12 +20,6 @@ def test_sloping_ground_by_hand() -> None:
     assert depth[[LEFT, RIGHT]] == pytest.approx([4.0, 4.0])
 
 
-def test_a_wall_at_the_left_is_met_at_the_left_only() -> None:
-    depth = depth_image(FOUR, Scene(boxes=(Box(0.0, 11.0, 6.0, 2.0, 3.0),)), HEIGHT_M)[1]
-    assert depth[LEFT] == pytest.approx(10.0)
-    assert np.isinf(depth[[BACK, RIGHT, FRONT]]).all()
-
-
 def test_a_cylinder_is_met_at_its_near_side_and_off_center() -> None:
     scene = Scene(cylinders=(Cylinder(0.3, -8.0, 0.5, 3.0),))
     depth = depth_image(FOUR, scene, HEIGHT_M)[1]

@@ -118,18 +118,6 @@ def _at(array: NDArray[Any], x: float, y: float, grid: BevGrid = ROAD) -> Any:
     return array[tuple(grid.index(np.array([x, y]))[0])]
 
 
-def test_returns_of_a_car_on_an_empty_plane_counted_by_hand() -> None:
-    """At (10.25, 0.25): columns within ± 0.9 m of the line of sight, rings that pass between the ground and 1.5 m."""
-    truth, known = exact_truth(_look(World("flat", FLAT)), FLAT, ROAD)
-    r = np.hypot(10.25, 0.25)
-    azimuth = np.deg2rad(np.arange(720) * 0.5 - 179.75) - np.arctan2(0.25, 10.25)
-    columns = (np.abs(azimuth) < 1) & (np.abs(r * np.tan(azimuth)) <= 0.9)
-    heights = 2.0 + r / np.cos(azimuth[columns])[:, None] * np.tan(np.deg2rad(np.arange(-20.0, 1.0)))[None]
-    by_hand = int(((heights >= -BELOW_GROUND_M) & (heights <= 1.5)).sum())
-    assert _at(truth.expected_returns["car"], 10.25, 0.25) == by_hand > 50
-    assert known.all()
-
-
 def test_states_of_cells_before_on_and_behind_a_wall_and_out_of_range() -> None:
     wall = World("wall", FLAT, (Thing("wall", (Box(0, 0, 1.0, 8, 3),), 12.0, 4.0),))
     truth, _ = exact_truth(_look(wall), wall, BevGrid(220, 55.0))

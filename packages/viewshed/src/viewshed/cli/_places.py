@@ -36,7 +36,7 @@ def chosen_files(files: list[Path], index: Path | None) -> Iterator[tuple[Path, 
     if not files:
         named = [(file, entry) for file, entry in entries.items() if entry.points]
         if not named:
-            raise ValueError(f"{index} must name a sweep, got none")
+            raise ValueError(f"{index} must name a sweep, got none: one has a number of points in its stats")
         yield from named
     for file in files:
         entry = entries.get(Path(os.path.realpath(file)))
@@ -109,10 +109,10 @@ def _holds_sweeps(folder: Path, endings: tuple[str, ...]) -> bool:
 def _by_numbers(path: Path) -> list[tuple[int, str]]:
     """Return what sorts paths by the numbers in them: ``2.bin`` before ``10.bin``.
 
-    >>> sorted([Path("10.bin"), Path("2.bin")], key=_by_numbers)[0].name
+    >>> sorted([Path("10.bin"), Path("2.bin"), Path("3²1.bin")], key=_by_numbers)[0].name
     '2.bin'
     """
-    return [(int(part), "") if part.isdigit() else (0, part) for part in re.split(r"(\d+)", str(path))]
+    return [(int(part), "") if part.isdecimal() else (0, part) for part in re.split(r"(\d+)", str(path))]
 
 
 def place_of_result(out: str | None, name: str) -> Path:

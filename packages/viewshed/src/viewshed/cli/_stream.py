@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from itertools import chain, count
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -49,7 +49,7 @@ _NO_HISTORY = (
 
 def placed_sweeps(reading: Reading, jobs: list[Job]) -> Iterator[tuple[Path, Iterator[Sweep]]]:
     """Yield each file with its sweeps, which have the poses that an option names; say what was assumed of these."""
-    files, poses, numbers = [file for file, _ in jobs], None, count()
+    files, poses = [file for file, _ in jobs], None
     if reading.poses is not None:
         from viewshed.recordings.read.pose_files import PoseFile
 
@@ -59,8 +59,7 @@ def placed_sweeps(reading: Reading, jobs: list[Job]) -> Iterator[tuple[Path, Ite
             note(f"{reading.poses}: {line}")
 
     def placed(file: Path, entry: IndexEntry | None) -> Iterator[Sweep]:
-        for sweep in reading.sweeps(file, entry):
-            number = next(numbers)
+        for number, sweep in enumerate(reading.sweeps(file, entry)):
             yield sweep if poses is None else poses.place_sweep(sweep, file, number, files)
 
     for job in jobs:

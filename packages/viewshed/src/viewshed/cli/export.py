@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -63,6 +64,12 @@ def export(
         network = NetworkOptions(weights, passes, seed, device=device)
         estimator = network.estimator(method, None if grid is None else options.parse_grid(grid), target)
         stem = stem_of_result(stem, estimator.name)
+    elif (
+        {method, grid, index, target, weights, passes, seed} != {None}
+        or (number, device) != (0, "cpu")
+        or (reading != AS_THEY_ARE)
+    ):
+        raise ValueError(f"{file} is an estimate: leave out all but --to, --sectors, --crs, --out, or name its sweep")
     place = place_of_result(out, stem + exporter.suffix)
     refuse_inputs([place], [file])
     earlier = format_of_content(place)
@@ -92,7 +99,9 @@ def _is_estimate(file: Path) -> bool:
     """Whether a file is an NPZ with a field of view in it; anything else is read as a sweep."""
     import zipfile
 
-    if file.suffix != ".npz" or not zipfile.is_zipfile(file):
-        return False
-    with zipfile.ZipFile(file) as archive:
-        return "visible_prob.npy" in archive.namelist()
+    from viewshed._files import DAMAGED
+
+    if file.suffix == ".npz":
+        with suppress(*DAMAGED), zipfile.ZipFile(file) as archive:
+            return "visible_prob.npy" in archive.namelist()
+    return False

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -54,7 +55,7 @@ def _entry(folder: Path, position: int, entry: Any) -> IndexEntry:
             sensor_from_file=Rigid.identity() if frame is None else Rigid.from_matrix(frame),
             sensor_height_m=_optional(float, entry.get("sensor_height_m")),
             world_from_sensor=None if pose is None else Rigid.from_matrix(pose),
-            seq=_optional(str, entry.get("seq")), t=_optional(float, entry.get("t")),
+            seq=_optional(str, entry.get("seq")), t=_optional(_seconds, entry.get("t")),
             points=None if stats is None else int(stats["points"]),
         )  # fmt: skip
     except KeyError as error:
@@ -63,5 +64,12 @@ def _entry(folder: Path, position: int, entry: Any) -> IndexEntry:
         raise ValueError(f"entry {position}: {error}") from error
 
 
-def _optional(kind: type[Any], value: Any) -> Any:
+def _seconds(value: Any) -> float:
+    seconds = float(value)
+    if not abs(seconds) < 9e9:
+        raise ValueError(f"t must be seconds that fit int64 in nanoseconds, got {seconds:g}")
+    return seconds
+
+
+def _optional(kind: Callable[[Any], Any], value: Any) -> Any:
     return None if value is None else kind(value)

@@ -140,8 +140,8 @@ def _with_saved(columns: Columns, members: Mapping[str, NDArray[Any]]) -> Column
         "agent": str(members["agent"]),
         "dropped_points": int(members["dropped_points"]),
     }
-    if "sensor_height_m" in members:
-        saved["sensor_height_m"] = float(members["sensor_height_m"])
+    singles = (("sensor_height_m", float), ("vehicle_yaw", float), ("infer_sensor", bool))
+    saved |= {name: kind(members[name]) for name, kind in singles if name in members}
     if "world_from_sensor" in members:
         saved["world_from_sensor"] = Rigid.from_matrix(members["world_from_sensor"])
     if "open_m" in members:
@@ -170,7 +170,7 @@ def _saved_model(members: Mapping[str, NDArray[Any]]) -> LidarModel | None:
 _KEYS = {
     "points", *_SAVED, "viewshed_sweep", "t_ns", "attitude", "sensor_height_m", "world_from_sensor", "agent",
     "pose_covariance", "dropped_points", "open_azimuth", "open_m", "model_name", "model_source", "model_limits",
-    "model_reach_m", "model_reach_source", "model_fires_no_rings",
+    "model_reach_m", "model_reach_source", "model_fires_no_rings", "vehicle_yaw", "infer_sensor",
     *(f"model_{key}" for key in _BEAMS),
 }  # fmt: skip
 
@@ -191,7 +191,8 @@ def write_npz(sweep: Sweep) -> bytes:
         "t_ns": sweep.t_ns, "attitude": sweep.attitude, "sensor_height_m": sweep.sensor_height_m,
         **{name: getattr(sweep, name) for name in _SAVED},
         "world_from_sensor": None if sweep.world_from_sensor is None else sweep.world_from_sensor.as_matrix(),
-        "pose_covariance": sweep.pose_covariance,
+        "pose_covariance": sweep.pose_covariance, "vehicle_yaw": sweep.vehicle_yaw,
+        "infer_sensor": None if sweep.infer_sensor else False,
     }  # fmt: skip
     if sweep.planar is not None:
         arrays |= {"open_azimuth": sweep.planar.open_azimuth, "open_m": sweep.planar.max_range_m}

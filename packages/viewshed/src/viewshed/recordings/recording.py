@@ -16,7 +16,9 @@ from viewshed.recordings.read.source import SweepSource, each_sweep
 from viewshed.sweep import Sweep
 
 MANIFEST = "manifest.json"
-"""A folder with this file is an archive of ours."""
+"""A folder with this file is an archive of ours, if it begins with :data:`_OURS`."""
+
+_OURS, _HEAD_BYTES = b"viewshed archive", 1000
 
 
 class DataSets(Protocol):
@@ -32,8 +34,15 @@ class DataSets(Protocol):
 
 
 def is_data_set(place: str | Path) -> bool:
-    """Return whether a place is a data set of ours: a URI, or a folder with a manifest."""
-    return "://" in str(place) or (Path(place) / MANIFEST).is_file()
+    """Return whether a place is a data set of ours: a URI, or a folder with a manifest that is ours, or empty."""
+    if "://" in str(place):
+        return True
+    manifest = Path(place) / MANIFEST
+    if not manifest.is_file():
+        return False
+    with manifest.open("rb") as file:
+        head = file.read(_HEAD_BYTES)
+    return not head or _OURS in head
 
 
 def data_sets(place: str | Path) -> DataSets:

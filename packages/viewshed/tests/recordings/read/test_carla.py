@@ -124,7 +124,7 @@ def test_one_line_for_each_damaged_thing_and_the_rest_goes_on(tmp_path: Path) ->
     (folder / "a" / "000002.npy").write_bytes(b"\x93NUMPY")
     (folder / "a" / "last.ply").write_bytes(b"ply\n")
     (folder / "a" / "poses.csv").write_text(
-        HEADER + "0,0,0,0,0,0,0,0\n1,1,0,0,nan,0,0,0\n2,2,0,0,0,0,0\n3,3,0,0,0,0,0,0\n3,4,0,0,0,0,0,0\n"
+        "\ufeff" + HEADER + "0,0,0,0,0,0,0,0\n1,1,0,0,nan,0,0,0\n2,2,0,0,0,0,0\n3,3,0,0,0,0,0,0\n3,4,0,0,0,0,0,0\n"
     )
     (folder / "actors.jsonl").write_text('{"frame": 0, "actors": [{"id": 1}]}\n{"frame": \n[]\n')
     source, told = open_source(folder), list[str]()

@@ -30,8 +30,9 @@ def written(folder: Path, text: str, name: str = "poses.txt") -> Path:
 def test_kitti_poses_are_taken_by_the_numbers_of_the_files(tmp_path: Path) -> None:
     poses = PoseFile.read(written(tmp_path, "# mine\n" + kitti(*map(at, range(8)))))
     files = [tmp_path / f"{number:06}.bin" for number in (2, 7)]
-    placed = [poses.place_sweep(SWEEP, file, order, files) for order, file in enumerate(files)]
-    for sweep, number in zip(placed, (2, 7), strict=True):
+    placed = [poses.place_sweep(SWEEP, file, 0, files) for file in files]
+    placed += [poses.place_sweep(SWEEP, file, 0, [file]) for file in files]  # alone as well
+    for sweep, number in zip(placed, (2, 7, 2, 7), strict=True):
         np.testing.assert_allclose(sweep.world_from_sensor.as_matrix(), at(number).as_matrix(), atol=1e-8)
         assert sweep.t_ns == number * S // 10
     assert any("0.1 s apart" in line for line in poses.notes)
@@ -41,9 +42,12 @@ def test_kitti_poses_are_taken_by_order_where_names_are_no_numbers(tmp_path: Pat
     written(tmp_path, "0.0\n0.5\n", "times.txt")
     poses = PoseFile.read(written(tmp_path, kitti(at(0), at(1))))
     files = [tmp_path / "a.pcd", tmp_path / "b.pcd"]
-    second = poses.place_sweep(SWEEP, files[1], 1, files)
+    second = poses.place_sweep(SWEEP, files[1], 0, files)  # whether the first could be read or not
     assert second.world_from_sensor.translation.tolist() == pytest.approx([1.0, 2.0, 0.5])
     assert second.t_ns == S // 2
+    with pytest.raises(ValueError, match=r"b\.pcd holds several sweeps, .* must have one line for each file"):
+        poses.place_sweep(SWEEP, files[1], 1, files)
+    assert poses.place_sweep(SWEEP, Path("0.pcap"), 1, [Path("0.pcap")]).t_ns == S // 2, "a capture's second sweep"
 
 
 def test_the_calibration_of_kitti_moves_camera_poses_to_the_sensor(tmp_path: Path) -> None:
@@ -89,7 +93,8 @@ def test_times_in_names(name: str, t_ns: int | None) -> None:
         ("# only words\n", "must have poses, got no line with numbers"),
         ("1 2 3\n", r"line 1 must have 12 numbers \(KITTI\) or 8 \(TUM: .*\), got 3"),
         (kitti(at(0)) + "\n1 0 0 0 0 0 0 1\n", "line 2 must have 12 numbers .*, got 8"),
-        ("a b c\n", "line 1 must be numbers, got 'a b c'"),
+        ("timestamp x y\n0 1 2\n", "line 1 must be numbers, got 'timestamp x y'"),
+        ("1532402927647951 0 0 0 0 0 0 1\n", "times must be seconds, got 1532402927647951"),
         ("nan 0 0 0 0 0 0 1\n", "line 1 must be finite numbers"),
         ("0 0 0 0 0 0 0 0.5\n", "line 1: the quaternion must have norm 1, got norm 0.5"),
         ("1 0 0 0 0 0 0 1\n1 0 0 0 0 0 0 1\n", "line 2: times must ascend, got 1.0"),
@@ -138,7 +143,7 @@ def test_places_by_latitude_and_longitude_look_along_their_way(tmp_path: Path) -
     north, east = 1.0 / 111319.49, 1.0 / (111319.49 * np.cos(np.deg2rad(37.0)))
     rows = [(1e9, 37.0, -122.0), (1e9 + 0.5, 37.0 + north, -122.0), (1e9 + 1.0, 37.0 + north, -122.0),
             (1e9 + 1.5, 37.0 + north, -122.0 + east)]  # fmt: skip
-    table = PoseFile.read(written(tmp_path, _places(*rows)))
+    table = PoseFile.read(written(tmp_path, "\ufeff" + _places(*rows)))  # as spreadsheets begin a file
     found = [(*pose.translation.round(3), round(pose.yaw, 3)) for pose in table.poses]
     half = round(np.pi / 2, 3)
     assert found == [(0, 0, 0, half), (0, 1, 0, half), (0, 1, 0, 0), (1, 1, 0, 0)]

@@ -341,13 +341,16 @@ def test_a_ros1_bag_that_only_keeps_a_reader_busy_is_refused(tmp_path: Path) -> 
 def test_a_folder_of_several_files_keeps_what_can_be_read(tmp_path: Path) -> None:
     recording_files.write(tmp_path / "bag", {
         "metadata.yaml": b"", "a_0.db3": recording_files.db3(), "a_1.db3": recording_files.db3()[:5000],
-        "a_2.mcap": recording_files.mcap(),
+        "a_2.mcap": recording_files.mcap(), "a_0.db3-wal": b"of a recorder that was killed",
+        "a_3.db3": recording_files.db3(),  # a player left it beside the packed one
         "a_3.db3.zstd": bytes(pa.compress(recording_files.db3(), codec="zstd", asbytes=True)),
+        "a_4.db3.zstd": bytes(pa.compress(recording_files.db3(), codec="zstd", asbytes=True)),
     })  # fmt: skip
     source = open_source(tmp_path / "bag")
-    assert [len(sweep) for _, sweep in each_sweep(source, on_damage=lambda *_: None)] == [6] * 6
+    assert [len(sweep) for _, sweep in each_sweep(source, on_damage=lambda *_: None)] == [6] * 8
     [line] = [line for line in source.damage() if "a_1.db3" in line]
     assert "is damaged" in line
+    assert "a_0.db3 was not closed: what lies in a_0.db3-wal is not read" in line
 
 
 def test_packed_messages_are_unpacked_and_bounded(tmp_path: Path) -> None:

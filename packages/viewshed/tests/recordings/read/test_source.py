@@ -10,6 +10,7 @@ import pytest
 from viewshed.geometry import Rigid
 from viewshed.recordings.read import SOURCES, open_source
 from viewshed.recordings.read.source import ObjectBox, SweepRef, each_sweep
+from viewshed.recordings.recording import is_data_set
 from viewshed.sweep import Sweep
 
 
@@ -73,6 +74,12 @@ def test_an_empty_folder_is_told_with_every_layout_that_was_looked_for(tmp_path:
     assert "\n" not in str(told.value)
     for name, kind in SOURCES.items():
         assert f"{kind.layout} ({name})" in str(told.value)
+
+
+def test_a_manifest_of_another_program_makes_no_data_set(tmp_path: Path) -> None:
+    for manifest, ours in (('{"name": "my app"}', False), ('{"kind": "viewshed archive"}', True), ("", True)):
+        (tmp_path / "manifest.json").write_text(manifest)
+        assert is_data_set(tmp_path) == ours
 
 
 def test_a_place_that_is_not_there_and_a_kind_that_is_not_known_are_told(tmp_path: Path) -> None:

@@ -209,7 +209,8 @@ def write_archive(
         frames_per_shard: at most; a shard holds one scene.
 
     Raises:
-        ValueError: the place is not empty, there are no samples, or they differ in grid, targets or definitions.
+        ValueError: the place is not empty, there are no samples, they differ in grid, targets or definitions, or a
+            scene is in two splits.
         OSError: a file cannot be written.
     """
     if frames_per_shard < 1:
@@ -217,12 +218,16 @@ def write_archive(
     store, shards, layout = Storage.of(place), list[ShardFacts](), None
     if store.names():
         raise ValueError(f"{store.place} must be empty; choose another place")
+    splits: dict[str, str] = {}
     for _, same_scene in groupby(samples, lambda sample: (sample.split, sample.scene)):
         scene = iter(same_scene)
         for first in scene:
             layout = layout or Layout.of(first.truth)
             if Layout.of(first.truth) != layout:
                 raise ValueError(f"truth must have the layout of the archive, {layout}, got {Layout.of(first.truth)}")
+            if splits.setdefault(first.scene, first.split) != first.split:
+                both = f"{splits[first.scene]!r} and {first.split!r}"
+                raise ValueError(f"a scene must be in one split, got {first.scene!r} in {both}")
             frames = chain([first], islice(scene, frames_per_shard - 1))
             shards.append(write_shard(store, f"shard-{len(shards):05d}.parquet", frames))
     if layout is None:

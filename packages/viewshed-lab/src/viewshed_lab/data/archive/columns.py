@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from viewshed.fov.truth import Truth
 from viewshed.geometry import Rigid
-from viewshed.sweep import Sweep
+from viewshed.sweep import PlanarScan, Sweep
 from viewshed_lab.data.archive.schema import Footer, Layout, Sensors
 from viewshed_lab.data.sample import Sample
 from viewshed_lab.sim.lidar.stored_sweep import StoredSweep
@@ -265,12 +265,20 @@ def _about(measured: StoredSweep | Sweep, sensors: Sensors) -> dict[str, Any]:
         motion = measured.motion
         numbers = [*motion.velocity_mps, motion.yaw_rate, motion.period_s]
         return about | {"step_m": float(measured.step_m), "motion": [float(value) for value in numbers]}
-    return about | {
+    about |= {
         "points": len(measured),
         "columns": [name for name in _COLUMNS if getattr(measured, name) is not None],
         "attitude": None if measured.attitude is None else measured.attitude.tolist(),
         "dropped_points": int(measured.dropped_points),
     }
+    planar, covariance = measured.planar, measured.pose_covariance
+    seldom = {
+        "infer_sensor": None if measured.infer_sensor else False,
+        "vehicle_yaw": None if measured.vehicle_yaw is None else float(measured.vehicle_yaw),
+        "planar": None if planar is None else [planar.open_azimuth.tolist(), float(planar.max_range_m)],
+        "pose_covariance": None if covariance is None else covariance.tolist(),
+    }
+    return about | {name: value for name, value in seldom.items() if value is not None}
 
 
 def _pack_image(image: StoredSweep) -> tuple[bytes, bytes]:
@@ -313,6 +321,7 @@ def _sweep(about: dict[str, Any], raw: Buffer, sensors: Sensors) -> Sweep:
         end = start + count * np.dtype(_COLUMNS[name]).itemsize
         columns[name] = unpack_column(view[start:end], _COLUMNS[name], (count,))
         start = end
+    planar, covariance = about.get("planar"), about.get("pose_covariance")
     return Sweep(
         points=points,
         **columns,
@@ -323,6 +332,10 @@ def _sweep(about: dict[str, Any], raw: Buffer, sensors: Sensors) -> Sweep:
         model=sensors.model(about["sensor"]),
         agent=about["agent"],
         dropped_points=int(about["dropped_points"]),
+        infer_sensor=about.get("infer_sensor", True),
+        vehicle_yaw=about.get("vehicle_yaw"),
+        planar=None if planar is None else PlanarScan(np.array(planar[0], np.float32), planar[1]),
+        pose_covariance=None if covariance is None else np.array(covariance),
     )
 
 

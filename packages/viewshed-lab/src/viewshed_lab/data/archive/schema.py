@@ -5,7 +5,7 @@ holds frames of one scene, one row group a frame, zstd level 1, page checksums o
 (:mod:`viewshed_lab.data.archive.columns`):
 
 - ``about``: JSON: agent, ``t_ns``, sensor (number of a beam table in the footer), height, pose, motion; for points
-  their number, columns and attitude; ``clean`` of an attacked sweep.
+  their number, columns, attitude and what else few sweeps say; ``clean`` of an attacked sweep.
 - ``ranges``: uint16 steps of range (C, R): ring by ring the zigzag differences along the columns, all low bytes, then
   all high bytes; null for points.
 - ``intensity``: uint8 (C, R); null for points.
@@ -49,11 +49,6 @@ REPAIR = "run the command that made the archive again, it writes anew only what 
 _KIND = "viewshed archive"
 
 
-def is_archive(place: Path) -> bool:
-    """Return whether a folder holds an archive, from its names alone."""
-    return (place / MANIFEST).is_file()
-
-
 def check_version(where: str, table: Any) -> None:
     """Check the schema version in the plain values read from ``where``: it must be :data:`SCHEMA_VERSION`."""
     version = table.get("schema_version") if isinstance(table, dict) else None
@@ -69,7 +64,7 @@ def reading(where: str) -> Iterator[None]:
 
     try:
         yield
-    except (ValueError, KeyError, OSError, OverflowError, pa.ArrowException) as error:
+    except (ValueError, KeyError, TypeError, OSError, OverflowError, RecursionError, pa.ArrowException) as error:
         raise ValueError(f"{where} is damaged: {one_line(error, 200)}; {REPAIR}") from error
 
 
@@ -113,8 +108,19 @@ _SINGLES = ("name", "azimuth_columns", "min_range_m", "max_range_m", "source")
 
 @lru_cache(maxsize=256)
 def text_of_model(model: LidarModel) -> str:
-    """Return a beam table as one line of JSON, angles in radians; equal tables give equal text."""
-    table: dict[str, Any] = {key: getattr(model, key) for key in _SINGLES}
+    """Return a beam table as one line of JSON, angles in radians; equal tables give equal text.
+
+    The reach of one that is shipped is not in it: it is that of the table by its beams.
+    """
+    text = _text_of(model)
+    shipped = _shipped_models().get(text)
+    if model.reach_m is None or (shipped is not None and shipped.reach_m == model.reach_m):
+        return text
+    return _text_of(model, reach_m=model.reach_m, reach_source=model.reach_source)
+
+
+def _text_of(model: LidarModel, **more: Any) -> str:
+    table: dict[str, Any] = {key: getattr(model, key) for key in _SINGLES} | more
     table |= {key: getattr(model, key).tolist() for key in _LISTS}
     if not model.fires_rings:
         table["fires_rings"] = False
@@ -130,15 +136,16 @@ def model_of_text(text: str) -> LidarModel:
     try:
         table = json.loads(text)
         return LidarModel(
-            **{key: table[key] for key in (*_SINGLES, *_LISTS)}, fires_rings=table.get("fires_rings", True)
-        )
+            **{key: table[key] for key in (*_SINGLES, *_LISTS)}, fires_rings=table.get("fires_rings", True),
+            reach_m=table.get("reach_m"), reach_source=table.get("reach_source", ""),
+        )  # fmt: skip
     except (KeyError, TypeError) as error:
         raise ValueError(f"a beam table must have the keys {', '.join((*_SINGLES, *_LISTS))}: {error}") from error
 
 
 @lru_cache(maxsize=1)
 def _shipped_models() -> dict[str, LidarModel]:
-    return {text_of_model(model): model for model in map(lidar_model, sensor_names())}
+    return {_text_of(model): model for model in map(lidar_model, sensor_names())}
 
 
 @dataclass(slots=True)
@@ -214,7 +221,7 @@ class ShardFacts:
 
 def code_version(commits: Sequence[str] = ()) -> dict[str, Any]:
     """Return the version of this code and its commit, if that is known, among ``commits`` of earlier runs."""
-    own = _commit(Path(__file__).resolve().parents[6])
+    own = _commit([*Path(__file__).resolve().parents][:7][-1])  # a package may lie nearer to the root
     return {"version": viewshed.__version__, "commits": sorted({*commits, *([own] if own else [])})}
 
 

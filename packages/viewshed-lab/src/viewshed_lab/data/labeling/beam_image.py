@@ -65,13 +65,7 @@ AT_REST = Drift(np.zeros(3), 0.0)
 
 
 def drift_of(before: StampedPose | None, now: StampedPose, after: StampedPose | None) -> Drift:
-    """Return the motion at ``now`` by differences of the poses next to it; at rest where they are not known.
-
-    >>> pose = Rigid.from_yaw(np.pi / 2)
-    >>> later = StampedPose(Rigid.from_yaw(np.pi / 2, (0.0, 2.0, 0.0)), 100_000_000)
-    >>> drift_of(None, StampedPose(pose, 0), later).velocity_mps.round(6).tolist()
-    [20.0, 0.0, 0.0]
-    """
+    """Return the motion at ``now`` by differences of the poses next to it; at rest where they are not known."""
     posed = [one for one in (before, now, after) if one is not None and one.world_from_sensor is not None]
     pose = now.world_from_sensor
     if pose is None or len(posed) < 2 or not _reachable(posed[0], posed[-1]):
@@ -93,10 +87,6 @@ def well_spaced(poses: Sequence[StampedPose | None], spacing_m: float) -> list[i
     """Return the places of the poses that stand for all: each ``spacing_m`` meters or two seconds from the one before.
 
     Those that are not known, and those that could only be reached faster than 70 m/s, stand for nothing.
-
-    >>> at = [StampedPose(Rigid.from_yaw(0.0, (x, 0.0, 0.0)), int(x * 1e8)) for x in (0.0, 1.0, 2.0, 2.5, 4.0)]
-    >>> well_spaced(at, 2.0)
-    [0, 2, 4]
     """
     posts: list[int] = []
     last: StampedPose | None = None

@@ -21,11 +21,7 @@ from viewshed.io.export.geojson import to_geojson
 from viewshed.io.export.geotiff import to_geotiff
 from viewshed.io.export.npz import read_npz, to_npz, write_npz
 from viewshed.io.export.osi import to_osi
-from viewshed.io.export.ros import (
-    to_grid_map,
-    to_occupancy_grid,
-    to_occupancy_grids,
-)
+from viewshed.io.export.ros import to_grid_map, to_occupancy_grid, to_occupancy_grids
 
 __all__ = [
     "EXPORTERS", "Exporter", "claimed_by_cpm", "format_of_content", "format_of_path",

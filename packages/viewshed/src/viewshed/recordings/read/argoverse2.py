@@ -91,16 +91,20 @@ class Argoverse2(RecordingSource):
     def _table(
         self, path: Path, numbers: Sequence[str], words: Sequence[str] = (), optional: Sequence[str] = ()
     ) -> dict[str, NDArray[Any]] | None:
-        """Return a log's table by column, None where it has none; read once. ``optional`` columns may be missing."""
-        if path not in self._tables and not path.is_file():
-            self._tables[path] = None
+        """Return a log's table by column, None where it has none; ``optional`` columns may be missing.
+
+        It is read once; those of one log are kept, for those of a whole data set fill the memory.
+        """
         if path not in self._tables:
-            with open_input(inside(self.place, path)) as source:
-                table = read_feather(source.content(_MOST_BYTES), (*numbers, *optional), words)
-                names = (*numbers, *words)
-                missing = [name for name in names if name not in table]
-                if missing:
-                    raise ValueError(f"must have the columns {', '.join(names)}, got none of {', '.join(missing)}")
+            self._tables = {kept: table for kept, table in self._tables.items() if kept.parent == path.parent}
+            table = None
+            if path.is_file():
+                with open_input(inside(self.place, path)) as source:
+                    table = read_feather(source.content(_MOST_BYTES), (*numbers, *optional), words)
+                    names = (*numbers, *words)
+                    missing = [name for name in names if name not in table]
+                    if missing:
+                        raise ValueError(f"must have the columns {', '.join(names)}, got none of {', '.join(missing)}")
             self._tables[path] = table
         return self._tables[path]
 

@@ -75,7 +75,13 @@ def bags_in(place: Path) -> list[Path]:
         return [place] if _is_bag_file(place) else []
     if _is_ros2(place):
         return [place]
-    return sorted(path for path in place.iterdir() if _is_bag_file(path) or _is_ros2(path))
+    return sorted([*_bag_files(place), *(path for path in place.iterdir() if _is_ros2(path))])
+
+
+def _bag_files(folder: Path) -> list[Path]:
+    """Return the files of bags in a folder, sorted; a packed one that lies there unpacked as well is left out."""
+    held = sorted(path for path in folder.iterdir() if _is_bag_file(path))
+    return [path for path in held if path.suffix.lower() not in _PACKED or path.with_suffix("") not in held]
 
 
 def _is_bag_file(path: Path) -> bool:
@@ -388,6 +394,7 @@ class SqliteBag:
     def __init__(self, content: Path | bytes, budget: _UnpackBudget) -> None:
         self.types: dict[str, str] = {}
         self._budget = budget
+        self._log = content.with_name(f"{content.name}-wal") if isinstance(content, Path) else None
         self._rows_left = (len(content) if isinstance(content, bytes) else content.stat().st_size) // _ROW_BYTES_MIN
         where = ":memory:" if isinstance(content, bytes) else f"{content.absolute().as_uri()}?mode=ro&immutable=1"
         # A bag that nobody holds any more is closed by whichever thread collects it.
@@ -443,6 +450,8 @@ class SqliteBag:
                 raw = self.message(str(row))
                 self._budget.spend(len(raw))
                 yield Message(topic, kind, encoding, t_ns, str(row), raw)
+        if self._log is not None and self._log.is_file() and self._log.stat().st_size:
+            raise ValueError(f"was not closed: what lies in {self._log.name} is not read; open it with sqlite3 once")
 
     def message(self, where: str) -> bytes:
         """Return the bytes of one message."""
@@ -478,7 +487,7 @@ class FolderBag:
 
     def __init__(self, root: Path, folder: Path) -> None:
         self._root = root
-        self._files = sorted(path for path in folder.iterdir() if _is_bag_file(path))
+        self._files = _bag_files(folder)
         if not self._files:
             raise ValueError("is damaged: it holds no .db3 and no .mcap file")
         self._open: tuple[int, BagFile] | None = None

@@ -22,7 +22,7 @@ import csv
 import io
 import json
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -219,8 +219,12 @@ def read_poses(root: Path, folder: Path, damage: list[str]) -> dict[int, AgentPo
     poses: dict[int, AgentPose] = {}
     try:
         with open_input(inside(root, path)) as source:
-            text = source.content(_POSES_BYTES_MAX).decode("utf-8", "replace")
-        for number, row in _rows(path, text):
+            text = source.content(_POSES_BYTES_MAX).decode("utf-8-sig", "replace")
+        is_table = path.suffix == ".csv"
+        rows: Iterable[Any] = csv.DictReader(io.StringIO(text)) if is_table else io.StringIO(text)
+        for number, row in enumerate(rows, 1 + is_table):
+            if isinstance(row, str) and not row.strip():
+                continue
             if number > _ROWS_MAX:
                 raise ValueError(f"{path}: must have at most {_ROWS_MAX} lines; the rest is left out")
             try:
@@ -253,16 +257,6 @@ def _whole(value: object, what: str) -> int:
     if re.fullmatch(r"-?[0-9]{1,18}|-?[1-8][0-9]{18}", text) is None:
         raise ValueError(f"{what} must be a whole number, got {one_line(value, 40)}")
     return int(text)
-
-
-def _rows(path: Path, text: str) -> Iterator[tuple[int, Any]]:
-    """Yield number and content of each line: the fields of CSV by name, or a line of JSON that is still text."""
-    if path.suffix == ".csv":
-        yield from enumerate(csv.DictReader(io.StringIO(text)), 2)
-        return
-    for number, line in enumerate(io.StringIO(text), 1):
-        if line.strip():
-            yield number, line
 
 
 AXES = ("carla", "carla_0.9.9", "sensor")

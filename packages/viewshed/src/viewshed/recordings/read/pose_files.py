@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+from codecs import BOM_UTF8
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 
 from viewshed.geometry import Rigid
 from viewshed.io._input import open_input
+from viewshed.io.formats import is_recording
 from viewshed.recordings.read._kitti_files import rigid_named, world_from_imu
 from viewshed.recordings.read.source import problems_of
 from viewshed.recordings.read.tf_tree import between, nearest
@@ -75,12 +77,12 @@ class PoseFile:
         if path.is_dir():
             return cls._of_places_in(path)
         with open_input(path) as source:
-            content = source.content(_BYTES_MAX)
-            if content.lstrip().startswith(_PLACE_COLUMNS[0].encode()):
+            content = source.content(_BYTES_MAX).removeprefix(BOM_UTF8)
+            if _PLACE_COLUMNS[0] in _words(content.decode("utf-8", "replace").lstrip().partition("\n")[0]):
                 return cls._of_places(path, content)
             rows, lines = _numbers(content)
             if len(rows[0]) == _TUM_NUMBERS:
-                times_ns = np.round(rows[:, 0] * 1e9).astype(np.int64)
+                times_ns = _nanoseconds(rows[:, 0])
                 late = np.flatnonzero(np.diff(times_ns) <= 0)
                 if late.size:
                     raise ValueError(f"line {lines[late[0] + 1]}: times must ascend, got {rows[late[0] + 1, 0]:f} s")
@@ -95,7 +97,7 @@ class PoseFile:
         tables = []
         for path in sorted(folder.rglob("*.pose")):
             with open_input(path) as source:
-                tables.append(source.content(_BYTES_MAX))
+                tables.append(source.content(_BYTES_MAX).removeprefix(BOM_UTF8))
         if not tables:
             raise ValueError(
                 f"{folder} is a folder without .pose files; give a table of poses, or a folder of such files"
@@ -110,8 +112,8 @@ class PoseFile:
         columns, deviations = list[int](), list[int]()
         found, spread = list[list[float]](), list[list[float]]()
         for number, line in enumerate(content.decode("utf-8", "replace").splitlines(), start=1):
-            words = [word.strip() for word in line.split(",")]
-            if words[0] == _PLACE_COLUMNS[0]:
+            words = _words(line)
+            if _PLACE_COLUMNS[0] in words or (any(words) and not columns):
                 missing = [name for name in _PLACE_COLUMNS if name not in words]
                 if missing:
                     raise ValueError(f"line {number} must name a column {missing[0]}, got {line[:60]!r}")
@@ -134,7 +136,7 @@ class PoseFile:
             raise ValueError("must have places, got no line with numbers")
         order = np.argsort([row[0] for row in found], kind="stable")
         rows, deviations_m = np.array(found)[order], np.array(spread)[order]
-        times_ns = np.round(rows[:, 0] * 1e9).astype(np.int64)
+        times_ns = _nanoseconds(rows[:, 0])
         if (np.diff(times_ns) <= 0).any():
             raise ValueError(f"times must differ, got {rows[1:][np.diff(times_ns) <= 0][0, 0]:f} s twice")
         # 2. Places in meters, and headings of the way from the last to the next place that is apart.
@@ -165,7 +167,7 @@ class PoseFile:
                     raise ValueError(
                         f"must have one time for each of {len(poses)} poses, ascending, got {len(seconds)}"
                     )
-                times_ns = np.round(seconds * 1e9).astype(np.int64)
+                times_ns = _nanoseconds(seconds)
         else:
             notes.append("sweeps without a time are taken to be 0.1 s apart, since no times.txt lies beside the poses")
         return cls(path, poses, times_ns, by_time=False, notes=tuple(notes))
@@ -179,7 +181,7 @@ class PoseFile:
         Args:
             sweep: what was measured.
             file: where it was read.
-            number: how many sweeps came before it.
+            number: how many sweeps of the file came before it.
             files: all files that are read.
 
         Raises:
@@ -209,15 +211,19 @@ class PoseFile:
             )
 
     def _numbers_of(self, files: Sequence[Path]) -> list[int]:
-        """Return the numbers by which all of several files are named; none where not all lie within the poses."""
+        """Return the numbers by which all files are named; none where not all lie within the poses."""
         names = [re.match(r"\d+(?=\.)", each.name) for each in files]
         numbers = [int(name[0]) for name in names if name is not None]
-        return numbers if len(numbers) == len(files) > 1 and max(numbers) < len(self.poses) else []
+        return numbers if len(numbers) == len(files) and max(numbers, default=0) < len(self.poses) else []
 
     def _row(self, file: Path, number: int, files: Sequence[Path]) -> int:
         numbers = self._numbers_of(files)
-        if numbers:
-            number = numbers[list(files).index(file)]
+        if len(files) > 1:
+            if number:
+                raise ValueError(f"{file.name} holds several sweeps, {self.place} must have one line for each file")
+            number = (numbers or range(len(files)))[list(files).index(file)]
+        elif numbers and not (file.suffix == ".pcap" or is_recording(file)):  # those hold several sweeps
+            number = numbers[0]
         if number >= len(self.poses):
             raise ValueError(f"{self.place}: has {len(self.poses)} lines, none for sweep {number}")
         return number
@@ -253,6 +259,16 @@ class PoseFile:
             return None
         deviation_m = self.deviations_m[nearest(times_ns, t_ns)]
         return np.diag([*deviation_m**2, 0.0, 0.0, 0.0]) if np.isfinite(deviation_m).all() else None
+
+
+def _words(line: str) -> list[str]:
+    return [word.strip() for word in line.split(",")]
+
+
+def _nanoseconds(seconds: NDArray[np.float64]) -> NDArray[np.int64]:
+    if np.abs(seconds).max(initial=0.0) >= 9e9:  # beyond int64 in nanoseconds, as in other units since 1970
+        raise ValueError(f"times must be seconds, got {seconds[np.abs(seconds).argmax()]:.0f}")
+    return np.round(seconds * 1e9).astype(np.int64)
 
 
 def _floats_in(words: Sequence[str], columns: Sequence[int], where: str) -> list[float]:
