@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from viewshed._extras import load, plugins
+from viewshed.arrays import whole
 
 MAX_RINGS = 4096
 
@@ -73,6 +74,7 @@ class LidarModel:
             raise ValueError(f"{self.name}: elevations must be 1 to {MAX_RINGS} finite numbers")
         if (np.diff(elevation) <= 0).any() or np.abs(elevation).max() > np.pi / 2:
             raise ValueError(f"{self.name}: elevations must ascend strictly within ±90°; ring 0 is the lowest beam")
+        object.__setattr__(self, "azimuth_columns", whole(f"{self.name}: azimuth_columns", self.azimuth_columns))
         if not 4 <= self.azimuth_columns <= 36_000:
             raise ValueError(f"{self.name}: azimuth_columns must lie in [4, 36000], got {self.azimuth_columns}")
         if not 0 <= self.min_range_m < self.max_range_m < 10_000:
@@ -145,7 +147,7 @@ def _parse(raw: bytes, where: str) -> LidarModel:
         return LidarModel(
             name=_text(table, "name"),
             elevation=np.deg2rad(_numbers(table, "elevations_deg")),
-            azimuth_columns=_whole(table, "azimuth_columns"),
+            azimuth_columns=table["azimuth_columns"],
             azimuth_offset=np.deg2rad(_numbers(table, "azimuth_offsets_deg")),
             origin_m=_numbers(table, "origins_m"),
             min_range_m=_number("min_range_m", table.get("min_range_m", 0.5)),
@@ -179,13 +181,6 @@ def _flag(table: dict[str, Any], key: str) -> bool:
     value = table.get(key, True)
     if not isinstance(value, bool):
         raise ValueError(f"{key} must be true or false, got {value!r}")
-    return value
-
-
-def _whole(table: dict[str, Any], key: str) -> int:
-    value = table[key]
-    if not isinstance(value, int) or isinstance(value, bool):
-        raise ValueError(f"{key} must be a whole number, got {value!r}")
     return value
 
 

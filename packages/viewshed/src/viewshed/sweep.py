@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from viewshed import _core
+from viewshed.arrays import whole
 from viewshed.geometry import Rigid, attitude_of, pose_covariance_of, rotation_from_quaternion
 from viewshed.sensors import LidarModel, lidar_model
 
@@ -121,6 +122,12 @@ class Sweep:
     pose_covariance: NDArray[np.float64] | None = None
 
     def __post_init__(self) -> None:
+        for value, name, kind, maker in (
+            (self.world_from_sensor, "world_from_sensor", Rigid, "viewshed.Rigid.from_matrix"),
+            (self.model, "model", LidarModel, "viewshed.lidar_model"),
+        ):
+            if value is not None and not isinstance(value, kind):
+                raise ValueError(f"{name} must be a {kind.__name__}, got {type(value).__name__}; {maker} makes one")
         points = _points(self.points)
         keep = None if _core.all_finite(points) else np.isfinite(points).all(axis=1)
         if keep is not None:
@@ -138,8 +145,10 @@ class Sweep:
         self._check_span("time_s", REVOLUTION_S, f"finite seconds within one revolution (±{REVOLUTION_S:g} s)")
         self._check_attitude()
         self._check_covariance()
-        if self.t_ns is not None and not -_INT64 <= self.t_ns < _INT64:
-            raise ValueError(f"t_ns must be nanoseconds that fit int64, got {self.t_ns}")
+        if self.t_ns is not None:
+            _set(self, "t_ns", whole("t_ns, in nanoseconds,", self.t_ns))
+            if not -_INT64 <= self.t_ns < _INT64:
+                raise ValueError(f"t_ns must be nanoseconds that fit int64, got {self.t_ns}")
         if self.vehicle_yaw is not None and not np.isfinite(self.vehicle_yaw):
             raise ValueError(f"vehicle_yaw must be finite radians, got {self.vehicle_yaw}")
         if self.dropped_points < 0:

@@ -163,6 +163,12 @@ def test_a_late_or_doubled_sweep_changes_nothing_and_is_named(back_s: float, wor
     assert after.detection.tolist() == [0]
 
 
+def test_a_robot_that_was_off_for_the_night_begins_anew_without_a_warning() -> None:
+    tracker = Tracker()
+    _drive(tracker, 20)
+    assert tracker.step(60_000.0, cars((2.0, 0.0)), SeesAll(60_000.0)).ids.tolist() == [1]
+
+
 def test_poses_that_begin_or_end_drop_the_tracks_and_say_so() -> None:
     tracker = Tracker()
     _drive(tracker, 5)
@@ -188,6 +194,9 @@ def test_odds_of_false_detections_that_nobody_gives_are_noted_once() -> None:
     said = [tracker.step(0.1 * k, cars(*places), SeesAll(0.1 * k)).notes for k, places in enumerate(
         ((), ((5.0, 0.0),), ((5.0, 0.0),))
     )]  # fmt: skip
+    late = Tracker()
+    late.step(0.1, cars(), SeesAll(0.1))
+    assert "false detections are not known" in late.step(0.0, cars((5.0, 0.0)), SeesAll(0.0)).notes[0]
     note = "false detections are not known for this view: 0.1 for one of an object taken; give false_odds"
     assert said == [(), (note,), ()]
     assert not Tracker().step(0.0, cars((5.0, 0.0)), SeesAll(0.0), false_odds=np.array([0.1])).notes
@@ -240,6 +249,8 @@ def test_rules_out_of_range_are_refused() -> None:
         ExistenceRules(recurrence=2.0)
     with pytest.raises(ValueError, match=r"gate must be positive, got 0.0"):
         ExistenceRules(gate=0.0)
+    with pytest.raises(ValueError, match=r"outlier_share must lie in \[0, 1\), got 2.0"):
+        Motion(outlier_share=2.0)
     with pytest.raises(ValueError, match=r"coast_s must be positive, got 0.0"):
         PublishedRules(coast_s=0.0)
 

@@ -159,6 +159,8 @@ def load_estimator(
     method = current_name(str(name)).replace("paper_polygon_fit", "paper_delaunay")
     options = {"weights": weights, "passes": passes, "seed": seed, "device": None if device == "cpu" else device}
     given = {option: value for option, value in options.items() if value is not None}
+    if method == "unet" and seed is not None:
+        raise ValueError(f"seed must be left out for unet, which draws no masks, got {seed}; use mc_dropout")
     if method in LEARNED:
         estimator: Estimator = load_network(
             method, cells, thing, weights=weights, passes=passes, seed=seed or 0, device=device

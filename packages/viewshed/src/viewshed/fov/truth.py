@@ -64,6 +64,6 @@ class Truth:
         """
         known = TARGETS.get(target) if isinstance(target, str) else target
         if known is None or known.name not in self.expected_returns:
-            raise ValueError(f"target must be one of {', '.join(self.expected_returns)}, got {target}")
+            raise ValueError(f"target must be a Target named {' or '.join(self.expected_returns)}, got {target!r}")
         mask: NDArray[np.bool_] = self.expected_returns[known.name] >= min(known.min_returns, MAX_COUNT)
         return mask
