@@ -1,4 +1,4 @@
-"""Types of arrays, by what they hold; and whole numbers."""
+"""Types of arrays, by what they hold; read-only arrays and whole numbers."""
 
 from __future__ import annotations
 
@@ -13,6 +13,13 @@ F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 
 Mask = NDArray[np.bool_]
+
+
+def frozen(array: NDArray[Any]) -> NDArray[Any]:
+    """Return a contiguous read-only array; a view is enough, the caller's own array stays writable."""
+    view = np.ascontiguousarray(array).view()
+    view.setflags(write=False)
+    return view
 
 
 def whole(name: str, value: Any) -> int:

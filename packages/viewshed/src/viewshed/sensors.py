@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from viewshed._extras import load, plugins
-from viewshed.arrays import whole
+from viewshed.arrays import frozen, whole
 
 MAX_RINGS = 4096
 
@@ -84,11 +84,11 @@ class LidarModel:
                 f"{self.name}: reach_m must lie in (min_range_m, max_range_m = {self.max_range_m:g}],"
                 f" got {self.reach_m:g}; leave it out where it is not known"
             )
-        object.__setattr__(self, "elevation", _frozen(elevation))
+        object.__setattr__(self, "elevation", frozen(elevation))
         for key in ("azimuth_offset", "origin_m"):
             object.__setattr__(self, key, self._per_ring(key))
         if self.shots is not None:
-            object.__setattr__(self, "shots", _frozen(self._checked_shots(np.array(self.shots, dtype=np.float64))))
+            object.__setattr__(self, "shots", frozen(self._checked_shots(np.array(self.shots, dtype=np.float64))))
 
     def _checked_shots(self, shots: NDArray[np.float64]) -> NDArray[np.float64]:
         shape = (self.azimuth_columns, self.rings, 2)
@@ -104,7 +104,7 @@ class LidarModel:
             array = np.zeros(self.rings)
         if array.shape != (self.rings,) or not np.isfinite(array).all():
             raise ValueError(f"{self.name}: {key} must be {self.rings} finite numbers, one a ring, got {array.shape}")
-        return _frozen(array)
+        return frozen(array)
 
     @property
     def rings(self) -> int:
@@ -130,11 +130,6 @@ class LidarModel:
             OSError: the file cannot be read.
         """
         return _parse(Path(path).read_bytes(), str(path))
-
-
-def _frozen(array: NDArray[np.float64]) -> NDArray[np.float64]:
-    array.setflags(write=False)
-    return array
 
 
 def _parse(raw: bytes, where: str) -> LidarModel:

@@ -147,6 +147,7 @@ def test_time_that_goes_back_begins_anew_and_says_so() -> None:
     tracks = tracker.step(0.2, cars((2.0, 0.0)), SeesAll(0.2))
     assert tracks.ids.tolist() == [1]
     assert tracks.notes == ("time went back by 1.700 s: all tracks dropped",)
+    assert tracker.step(60_000.0, cars((2.0, 0.0)), SeesAll(60_000.0)).ids.tolist() == [2]  # off for a night
 
 
 @pytest.mark.parametrize(("back_s", "words"), [(0.0, "a sweep again"), (0.2, "a sweep 0.200 s late")])
@@ -161,12 +162,6 @@ def test_a_late_or_doubled_sweep_changes_nothing_and_is_named(back_s: float, wor
     after = tracker.step(2.0, cars((20.0, 0.0)), SeesAll(2.0))
     assert after.ids.tolist() == [0]
     assert after.detection.tolist() == [0]
-
-
-def test_a_robot_that_was_off_for_the_night_begins_anew_without_a_warning() -> None:
-    tracker = Tracker()
-    _drive(tracker, 20)
-    assert tracker.step(60_000.0, cars((2.0, 0.0)), SeesAll(60_000.0)).ids.tolist() == [1]
 
 
 def test_poses_that_begin_or_end_drop_the_tracks_and_say_so() -> None:

@@ -6,7 +6,7 @@ import warnings
 from collections.abc import Sequence
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import Protocol, cast
+from typing import Any, Protocol, cast
 
 from numpy.typing import ArrayLike
 
@@ -219,18 +219,21 @@ def estimate(
     'shadow_map'
     """
     estimator = _loaded(method, grid_named(grid), target_named(target), device)
+    stated: dict[str, Any] = {
+        "sensor": sensor, "sensor_height_m": sensor_height_m, "world_from_sensor": world_from_sensor,
+    }  # fmt: skip
+    is_stated = any(value is not None for value in stated.values())
     listed = sweep if isinstance(sweep, list | tuple) else ()
     several = [each for each in listed if isinstance(each, Sweep)]
     if several:
-        given = (history, sensor, sensor_height_m, world_from_sensor)
-        if len(several) < len(listed) or any(value is not None for value in given):
+        if len(several) < len(listed) or history is not None or is_stated:
             raise ValueError(
                 "of several LiDARs each must be a Sweep that says its own height and mounting, without history; leave"
                 " out all but method, grid, target and device"
             )
         return union_of_views([estimator.estimate(each) for each in several])
     if isinstance(sweep, Sweep | LeveledSweep):
-        if sensor is not None or sensor_height_m is not None or world_from_sensor is not None:
+        if is_stated:
             raise ValueError(
                 "sensor, sensor_height_m and world_from_sensor go with points, got a Sweep; say them there:"
                 " sweep.replace(model=viewshed.lidar_model(NAME), …)"
@@ -239,16 +242,9 @@ def estimate(
     if isinstance(sweep, str | Path):
         from viewshed.io import read_sweep
 
-        measured = read_sweep(
-            sweep, sensor=sensor, sensor_height_m=sensor_height_m, world_from_sensor=world_from_sensor
-        )
+        measured = read_sweep(sweep, **stated)
     else:
-        measured = sweep_of_points(
-            cast("ArrayLike", sweep),
-            sensor=sensor,
-            sensor_height_m=sensor_height_m,
-            world_from_sensor=world_from_sensor,
-        )
+        measured = sweep_of_points(cast("ArrayLike", sweep), **stated)
     check_units(measured)
     leveled = level(measured, estimator.grid)
     for doubt in doubts(leveled):

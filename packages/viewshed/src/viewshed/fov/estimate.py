@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from viewshed import _core, _outputs
 from viewshed._files import write_atomic
-from viewshed.arrays import whole
+from viewshed.arrays import frozen, whole
 from viewshed.fov.visibility import CAR, Target
 from viewshed.geometry import FloatArray, Rigid
 from viewshed.grid import BevGrid
@@ -159,12 +159,10 @@ class FovEstimate:
             raise ValueError("std must not be negative; NaN means that the estimator has none")
 
     def _store(self, name: str, value: Any, dtype: type[np.generic]) -> None:
-        array = np.ascontiguousarray(value, dtype=dtype)
+        array = np.asarray(value, dtype)
         if array.shape != self.grid.shape:
             raise ValueError(f"{name} must have the grid's shape {self.grid.shape}, got {array.shape}")
-        array = array.view()
-        array.setflags(write=False)
-        object.__setattr__(self, name, array)
+        object.__setattr__(self, name, frozen(array))
 
     def __repr__(self) -> str:
         shares = ", ".join(f"{self.share(state):.0%} {state.name.lower()}" for state in reversed(CellState))

@@ -458,10 +458,8 @@ class Tracker:
             return None
         back_s = last.t_s - t_s
         if 0.0 <= back_s <= _LATE_S:
-            what = "again" if back_s == 0.0 else f"{back_s:.3f} s late"
-            return replace(
-                last, detection=np.full(len(last), -1, np.int32), notes=(*notes, f"a sweep {what}: its detections left out")
-            )
+            notes.append(f"a sweep {'again' if back_s == 0.0 else f'{back_s:.3f} s late'}: its detections left out")
+            return replace(last, detection=np.full(len(last), -1, np.int32), notes=tuple(notes))
         if back_s > 0.0:
             notes.append(f"time went back by {back_s:.3f} s: all tracks dropped")
             self.reset()
