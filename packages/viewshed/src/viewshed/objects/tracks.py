@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,8 +44,10 @@ class Tracks:
 
     def joined(self, others: Tracks) -> Tracks:
         """Return these tracks and others of the same time after them."""
-        pairs = {name: (getattr(self, name), getattr(others, name)) for name in TRACK_ROWS}
-        return replace(self, **{name: np.concatenate(pair) for name, pair in pairs.items()})
+        arrays: dict[str, Any] = {
+            name: np.concatenate([getattr(self, name), getattr(others, name)]) for name in TRACK_ROWS
+        }
+        return replace(self, **arrays)
 
 
 TRACK_ROWS = tuple(name for name in Tracks.__slots__ if name not in {"t_s", "in_world", "notes"})
