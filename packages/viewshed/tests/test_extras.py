@@ -155,6 +155,8 @@ def test_a_command_or_a_name_of_the_laboratory_names_it_where_it_is_not_installe
     assert re.search(r"simulate, label, .*, study: pip install viewshed-lab", " ".join(done.stdout.split()))
     done = _without_laboratory("import viewshed; viewshed.Archive", tmp_path)
     assert "ImportError: viewshed.Archive needs viewshed-lab: pip install viewshed-lab" in done.stderr
+    every = "from viewshed import *; import inspect, viewshed; inspect.getmembers(viewshed)"
+    assert _without_laboratory(every, tmp_path).stderr == ""
     done = _without_laboratory("import viewshed.sim.worlds", tmp_path)
     assert "ImportError: viewshed.sim needs viewshed-lab: pip install viewshed-lab" in done.stderr
 

@@ -65,3 +65,5 @@ def test_bad_transforms_are_refused() -> None:
         Rigid(np.eye(3), np.array([0.0, np.inf, 0.0]))
     with pytest.raises(ValueError, match=r"shape \(4, 4\)"):
         Rigid.from_matrix(np.eye(3))
+    with pytest.raises(ValueError, match=r"row 0, 0, 0, 1, got \[1.0, 2.0, 3.0, 1.0\]; is it transposed"):
+        Rigid.from_matrix(Rigid(np.eye(3), np.array([1.0, 2.0, 3.0])).as_matrix().T)

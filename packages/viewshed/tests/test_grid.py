@@ -1,3 +1,6 @@
+import pickle
+from copy import deepcopy
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -61,6 +64,7 @@ def test_polar_of_cells_follows_the_offset() -> None:
     [
         ((0, 64.0), r"cells must lie in \[1, 4096\], got 0"),
         ((5000, 64.0), "cells must lie in"),
+        ((8.0, 64.0), "cells must be a whole number, got 8.0"),
         ((4, 0.0), "half_extent_m must be positive"),
         ((4, float("nan")), "half_extent_m must be positive"),
         ((4, 1.0, (np.inf, 0.0)), "offset_m must be two finite numbers"),
@@ -69,6 +73,21 @@ def test_polar_of_cells_follows_the_offset() -> None:
 def test_bad_grids_are_refused(arguments: tuple[int, float], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         BevGrid(*arguments)
+
+
+@pytest.mark.parametrize("xy", [[[10.0], [5.0]], [10.0], 10.0, []])
+def test_a_single_coordinate_is_no_place(xy: object) -> None:
+    with pytest.raises(ValueError, match=r"points must have shape .* got"):
+        BevGrid(8, 4.0).index(xy)  # type: ignore[arg-type]
+
+
+def test_a_grid_is_its_numbers_whatever_their_types_and_is_pickled_without_its_centers() -> None:
+    plain = BevGrid(64, 4.0, (1.0, 0.0))
+    grid = BevGrid(np.int64(64), np.float32(4.0), np.array([1.0, 0.0]))  # type: ignore[arg-type]
+    assert (grid, hash(grid), repr(grid)) == (plain, hash(plain), repr(plain))
+    assert grid.centers.any()
+    assert len(pickle.dumps(grid)) < 200
+    assert not deepcopy(grid).centers.flags.writeable
 
 
 def test_points_that_are_no_numbers_or_far_away_count_nowhere() -> None:

@@ -84,6 +84,9 @@ def test_the_pose_gives_the_attitude_where_none_is_given() -> None:
             "t_ns must be nanoseconds that fit int64, got 9223372036854775808",
         ),
         ({"points": np.zeros((2, 3)), "t_ns": -(2**63) - 1}, "t_ns must be nanoseconds that fit int64"),
+        ({"points": np.zeros((2, 3)), "t_ns": 1.7e9}, "t_ns, in nanoseconds, must be a whole number, got 1700000000.0"),
+        ({"points": np.zeros((2, 3)), "world_from_sensor": np.eye(4)}, "must be a Rigid, got ndarray; viewshed.Rigid"),
+        ({"points": np.zeros((2, 3)), "model": "vlp16"}, "model must be a LidarModel, got str; viewshed"),
         ({"points": np.zeros((2, 3)), "dropped_points": -5}, "dropped_points must not be negative, got -5"),
         ({"points": np.zeros((1, 3)), "vehicle_yaw": np.nan}, "vehicle_yaw must be finite radians, got nan"),
         (

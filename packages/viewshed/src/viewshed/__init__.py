@@ -10,7 +10,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from viewshed import _core, _moved, _outputs
-from viewshed._extras import needed_for, plugin
+from viewshed._extras import needed_for, plugin, plugins
 
 if TYPE_CHECKING:
     from viewshed.estimators import ESTIMATORS, estimate, load_estimator
@@ -48,9 +48,9 @@ _HOMES = {
 _OF_LABORATORY = ("Archive", "Sample", "WORLDS", "attacks")
 
 __all__ = [
-    "CAR", "ESTIMATORS", "GRIDS", "PEDESTRIAN", "WORLDS", "Archive", "BevGrid", "CellState", "FovEstimate",
-    "FovEstimator", "LidarModel", "Rigid", "Sample", "Sweep", "Target", "Truth", "attacks", "estimate", "lidar_model",
-    "load_estimator", "open_recording", "read_sweep", "score", "write_sweep",
+    "CAR", "ESTIMATORS", "GRIDS", "PEDESTRIAN", "BevGrid", "CellState", "FovEstimate", "FovEstimator", "LidarModel",
+    "Rigid", "Sweep", "Target", "Truth", "estimate", "lidar_model", "load_estimator", "open_recording", "read_sweep",
+    "score", "write_sweep",
 ]  # fmt: skip
 
 
@@ -66,7 +66,7 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return sorted([*__all__, "__version__"])
+    return sorted([*__all__, *plugins("names"), "__version__"])
 
 
 def _later(module: str, name: str) -> Any:

@@ -9,6 +9,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from viewshed.arrays import frozen
 from viewshed.geometry import Rigid
 
 BOX_COLUMNS = ("x_m", "y_m", "z_m", "length_m", "width_m", "height_m", "yaw")
@@ -49,9 +50,7 @@ class Detections:
         for name, values, kind in (
             ("boxes", self.boxes, np.float64), ("kinds", kinds, np.uint8), ("returns", returns, np.int32)
         ):  # fmt: skip
-            array: NDArray[Any] = np.array(values, kind)
-            array.setflags(write=False)
-            object.__setattr__(self, name, array)
+            object.__setattr__(self, name, frozen(np.array(values, kind)))
         count = len(self.boxes)
         if self.boxes.shape != (count, 7) or self.kinds.shape != (count,) or self.returns.shape != (count,):
             raise ValueError(

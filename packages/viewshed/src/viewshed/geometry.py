@@ -133,6 +133,8 @@ class Rigid:
         m = np.asarray(matrix, dtype=np.float64)
         if m.shape != (4, 4):
             raise ValueError(f"matrix must have shape (4, 4), got {m.shape}")
+        if (np.abs(m[3] - (0.0, 0.0, 0.0, 1.0)) > _UNIT_TOLERANCE).any():
+            raise ValueError(f"matrix must end in the row 0, 0, 0, 1, got {m[3].tolist()}; is it transposed?")
         return cls(m[:3, :3], m[:3, 3])
 
     @classmethod

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from viewshed import _core
+from viewshed.arrays import whole
 from viewshed.geometry import FloatArray, Rigid
 
 MAX_CELLS = 4096
@@ -36,12 +37,19 @@ class BevGrid:
     offset_m: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "cells", whole("cells", self.cells))
         if not 1 <= self.cells <= MAX_CELLS:
             raise ValueError(f"cells must lie in [1, {MAX_CELLS}], got {self.cells}")
         if not (np.isfinite(self.half_extent_m) and self.half_extent_m > 0):
             raise ValueError(f"half_extent_m must be positive and finite, got {self.half_extent_m}")
         if len(self.offset_m) != 2 or not np.isfinite(self.offset_m).all():
             raise ValueError(f"offset_m must be two finite numbers, got {self.offset_m}")
+        object.__setattr__(self, "half_extent_m", float(self.half_extent_m))
+        object.__setattr__(self, "offset_m", (float(self.offset_m[0]), float(self.offset_m[1])))
+
+    def __reduce__(self) -> tuple[type[BevGrid], tuple[int, float, tuple[float, float]]]:
+        """Pickle what it is made of, not the centers."""
+        return BevGrid, (self.cells, self.half_extent_m, self.offset_m)
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -78,7 +86,10 @@ class BevGrid:
         >>> BevGrid(4, 2.0).index(np.array([[0.0, -2.0], [2.0, 0.0]]))[0].tolist()
         [[2, 0], [-1, -1]]
         """
-        scaled = (np.asarray(xy, dtype=np.float64)[..., :2] - self.origin_m) / self.cell_m
+        xy = np.asarray(xy, np.float64)
+        if xy.shape[-1:] < (2,):  # a single column would count as x and as y
+            raise ValueError(f"points must have shape (…, 2+), got {xy.shape}")
+        scaled = (xy[..., :2] - self.origin_m) / self.cell_m
         x, y = scaled[..., 0], scaled[..., 1]
         inside: NDArray[np.bool_] = np.asarray((x >= 0) & (x < self.cells) & (y >= 0) & (y < self.cells))
         cells = np.floor(np.where(inside[..., None], scaled, -1.0)).astype(np.intp)

@@ -37,10 +37,7 @@ class ConfusionCounts:
 
     def __add__(self, other: ConfusionCounts) -> ConfusionCounts:
         """Return both together."""
-        return ConfusionCounts(
-            self.both + other.both, self.over + other.over, self.under + other.under, self.neither + other.neither,
-            self.area_m2 + other.area_m2, self.samples + other.samples,
-        )  # fmt: skip
+        return ConfusionCounts(*(getattr(self, name) + getattr(other, name) for name in self.__slots__))
 
     @property
     def cells(self) -> int:
@@ -188,9 +185,7 @@ class Scores:
 
     def __add__(self, other: Scores) -> Scores:
         """Return both together."""
-        return Scores(
-            self.steps + other.steps, self.bins + other.bins, self.squares + other.squares, self.doubts + other.doubts
-        )
+        return Scores(*(getattr(self, name) + getattr(other, name) for name in self.__slots__))
 
     @property
     def cells(self) -> int:

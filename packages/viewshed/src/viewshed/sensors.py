@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from viewshed._extras import load, plugins
+from viewshed.arrays import frozen, whole
 
 MAX_RINGS = 4096
 
@@ -73,6 +74,7 @@ class LidarModel:
             raise ValueError(f"{self.name}: elevations must be 1 to {MAX_RINGS} finite numbers")
         if (np.diff(elevation) <= 0).any() or np.abs(elevation).max() > np.pi / 2:
             raise ValueError(f"{self.name}: elevations must ascend strictly within ±90°; ring 0 is the lowest beam")
+        object.__setattr__(self, "azimuth_columns", whole(f"{self.name}: azimuth_columns", self.azimuth_columns))
         if not 4 <= self.azimuth_columns <= 36_000:
             raise ValueError(f"{self.name}: azimuth_columns must lie in [4, 36000], got {self.azimuth_columns}")
         if not 0 <= self.min_range_m < self.max_range_m < 10_000:
@@ -82,11 +84,11 @@ class LidarModel:
                 f"{self.name}: reach_m must lie in (min_range_m, max_range_m = {self.max_range_m:g}],"
                 f" got {self.reach_m:g}; leave it out where it is not known"
             )
-        object.__setattr__(self, "elevation", _frozen(elevation))
+        object.__setattr__(self, "elevation", frozen(elevation))
         for key in ("azimuth_offset", "origin_m"):
             object.__setattr__(self, key, self._per_ring(key))
         if self.shots is not None:
-            object.__setattr__(self, "shots", _frozen(self._checked_shots(np.array(self.shots, dtype=np.float64))))
+            object.__setattr__(self, "shots", frozen(self._checked_shots(np.array(self.shots, dtype=np.float64))))
 
     def _checked_shots(self, shots: NDArray[np.float64]) -> NDArray[np.float64]:
         shape = (self.azimuth_columns, self.rings, 2)
@@ -102,7 +104,7 @@ class LidarModel:
             array = np.zeros(self.rings)
         if array.shape != (self.rings,) or not np.isfinite(array).all():
             raise ValueError(f"{self.name}: {key} must be {self.rings} finite numbers, one a ring, got {array.shape}")
-        return _frozen(array)
+        return frozen(array)
 
     @property
     def rings(self) -> int:
@@ -130,11 +132,6 @@ class LidarModel:
         return _parse(Path(path).read_bytes(), str(path))
 
 
-def _frozen(array: NDArray[np.float64]) -> NDArray[np.float64]:
-    array.setflags(write=False)
-    return array
-
-
 def _parse(raw: bytes, where: str) -> LidarModel:
     table = _table(raw, where)
     missing = {"name", "elevations_deg", "azimuth_columns"} - table.keys()
@@ -145,7 +142,7 @@ def _parse(raw: bytes, where: str) -> LidarModel:
         return LidarModel(
             name=_text(table, "name"),
             elevation=np.deg2rad(_numbers(table, "elevations_deg")),
-            azimuth_columns=_whole(table, "azimuth_columns"),
+            azimuth_columns=table["azimuth_columns"],
             azimuth_offset=np.deg2rad(_numbers(table, "azimuth_offsets_deg")),
             origin_m=_numbers(table, "origins_m"),
             min_range_m=_number("min_range_m", table.get("min_range_m", 0.5)),
@@ -179,13 +176,6 @@ def _flag(table: dict[str, Any], key: str) -> bool:
     value = table.get(key, True)
     if not isinstance(value, bool):
         raise ValueError(f"{key} must be true or false, got {value!r}")
-    return value
-
-
-def _whole(table: dict[str, Any], key: str) -> int:
-    value = table[key]
-    if not isinstance(value, int) or isinstance(value, bool):
-        raise ValueError(f"{key} must be a whole number, got {value!r}")
     return value
 
 

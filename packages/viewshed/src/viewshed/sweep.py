@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from viewshed import _core
+from viewshed.arrays import frozen, whole
 from viewshed.geometry import Rigid, attitude_of, pose_covariance_of, rotation_from_quaternion
 from viewshed.sensors import LidarModel, lidar_model
 
@@ -41,6 +42,8 @@ _MOST_HEIGHT_M = 100.0
 
 _MOST_AZIMUTH = 2 * np.pi + 1e-3
 
+_COLUMNS = ("points", "intensity", "ring", "azimuth", "time_s")
+
 _MOST_COLUMNS = 16
 """An array with more columns than this holds no point in a row."""
 
@@ -68,7 +71,7 @@ class PlanarScan:
             raise ValueError(f"open_azimuth must be finite radians within ±2π, got {azimuth.min():g}…{azimuth.max():g}")
         if not self.max_range_m > 0:
             raise ValueError(f"max_range_m must be positive, got {self.max_range_m:g}")
-        object.__setattr__(self, "open_azimuth", _frozen(azimuth.astype(np.float32)))
+        object.__setattr__(self, "open_azimuth", frozen(azimuth.astype(np.float32)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -121,25 +124,33 @@ class Sweep:
     pose_covariance: NDArray[np.float64] | None = None
 
     def __post_init__(self) -> None:
+        for value, name, kind, maker in (
+            (self.world_from_sensor, "world_from_sensor", Rigid, "viewshed.Rigid.from_matrix"),
+            (self.model, "model", LidarModel, "viewshed.lidar_model"),
+        ):
+            if value is not None and not isinstance(value, kind):
+                raise ValueError(f"{name} must be a {kind.__name__}, got {type(value).__name__}; {maker} makes one")
         points = _points(self.points)
         keep = None if _core.all_finite(points) else np.isfinite(points).all(axis=1)
         if keep is not None:
             _set(self, "dropped_points", self.dropped_points + int((~keep).sum()))
-        _set(self, "points", _frozen(points if keep is None else points[keep]))
+        _set(self, "points", frozen(points if keep is None else points[keep]))
         for name, dtype in (
             ("intensity", np.float32), ("ring", np.int16), ("azimuth", np.float32), ("time_s", np.float32),
         ):  # fmt: skip
             value = getattr(self, name)
             if value is not None:
                 column = _column(name, value, len(points), dtype)
-                _set(self, name, _frozen(column if keep is None else column[keep]))
+                _set(self, name, frozen(column if keep is None else column[keep]))
         self._check_ring()
         self._check_span("azimuth", _MOST_AZIMUTH, "finite radians within ±2π")
         self._check_span("time_s", REVOLUTION_S, f"finite seconds within one revolution (±{REVOLUTION_S:g} s)")
         self._check_attitude()
         self._check_covariance()
-        if self.t_ns is not None and not -_INT64 <= self.t_ns < _INT64:
-            raise ValueError(f"t_ns must be nanoseconds that fit int64, got {self.t_ns}")
+        if self.t_ns is not None:
+            _set(self, "t_ns", whole("t_ns, in nanoseconds,", self.t_ns))
+            if not -_INT64 <= self.t_ns < _INT64:
+                raise ValueError(f"t_ns must be nanoseconds that fit int64, got {self.t_ns}")
         if self.vehicle_yaw is not None and not np.isfinite(self.vehicle_yaw):
             raise ValueError(f"vehicle_yaw must be finite radians, got {self.vehicle_yaw}")
         if self.dropped_points < 0:
@@ -170,13 +181,13 @@ class Sweep:
             return
         attitude = np.array(self.attitude, dtype=np.float64)
         rotation_from_quaternion(attitude)
-        _set(self, "attitude", _frozen(attitude))
+        _set(self, "attitude", frozen(attitude))
 
     def _check_covariance(self) -> None:
         if self.pose_covariance is None:
             return
         covariance = pose_covariance_of(self.pose_covariance, f"pose_covariance of {self.agent}")
-        _set(self, "pose_covariance", _frozen(covariance))
+        _set(self, "pose_covariance", frozen(covariance))
 
     def __len__(self) -> int:
         return len(self.points)
@@ -191,9 +202,7 @@ class Sweep:
     def select(self, keep: NDArray[np.bool_] | NDArray[np.intp]) -> Sweep:
         """Return the sweep with the rows that ``keep`` ((N,) mask or indices) names, in that order."""
         columns = {
-            name: None if value is None else value[keep]
-            for name in ("points", "intensity", "ring", "azimuth", "time_s")
-            for value in (getattr(self, name),)
+            name: None if value is None else value[keep] for name in _COLUMNS for value in (getattr(self, name),)
         }
         return self.replace(**columns)
 
@@ -227,7 +236,7 @@ class Sweep:
         >>> kept.points[0, 0].item(), view.points[0, 0].item()
         (1.0, 2.0)
         """
-        columns = {name: getattr(self, name) for name in ("points", "intensity", "ring", "azimuth", "time_s")}
+        columns = {name: getattr(self, name) for name in _COLUMNS}
         return self.replace(**{name: value.copy() for name, value in columns.items() if value is not None})
 
     def replace(self, **changes: Any) -> Sweep:
@@ -237,13 +246,6 @@ class Sweep:
 
 def _set(sweep: Sweep, name: str, value: object) -> None:
     object.__setattr__(sweep, name, value)
-
-
-def _frozen(array: NDArray[Any]) -> NDArray[Any]:
-    """Return a contiguous read-only array; a view is enough, the caller's own array stays writable."""
-    view = np.ascontiguousarray(array).view()
-    view.setflags(write=False)
-    return view
 
 
 def shape_remedy(shape: tuple[int, ...]) -> str:

@@ -160,6 +160,7 @@ def test_a_file_of_weights_is_an_estimator(tmp_path: Path, street: Sweep) -> Non
     ("options", "message"),
     [
         ({"name": "oracle"}, "method must be one of continuous, .*, mc_dropout, got 'oracle'"),
+        ({"name": "unet", "seed": 3}, "seed must be left out for unet, which draws no masks, got 3; use mc_dropout"),
         ({"name": "unet", "abstain_below": 0.2}, r"abstain_below must lie in \[0.5, 1\], got 0.2"),
         ({"name": "shadow_map", "abstain_below": 1.2}, r"abstain_below must lie in \[0.5, 1\], got 1.2"),
     ],

@@ -1,4 +1,5 @@
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -28,6 +29,12 @@ def test_visible_is_the_probability_from_the_threshold_on() -> None:
     assert estimate.share(CellState.FREE) == 1 / 16
 
 
+def test_numbers_of_numpy_are_saved_as_any_others(tmp_path: Path) -> None:
+    estimate = _estimate(t_ns=np.int64(5), threshold=np.float32(0.5))
+    for name in ("a.npz", "a.geojson", "a.osi.json", "a.grid_map.json"):
+        assert estimate.save(tmp_path / name).exists()
+
+
 def test_at_looks_up_and_is_nan_outside() -> None:
     found = _estimate().at(np.array([[1.5, -1.5], [-1.5, 1.5], [2.0, 0.0]]))
     assert found.dtype == np.float32
@@ -42,7 +49,8 @@ def test_at_looks_up_and_is_nan_outside() -> None:
         ({"visible_prob": np.full((4, 4), np.nan)}, r"visible_prob must lie in \[0, 1\]"),
         ({"visible_prob": np.zeros((3, 4))}, r"grid's shape \(4, 4\), got \(3, 4\)"),
         ({"std": np.full((4, 4), -0.1)}, "std must not be negative"),
-        ({"state": np.full((4, 4), 9)}, r"state must lie in \[0, 3\], got 9"),
+        *(({"state": np.full((4, 4), odd)}, rf"state must lie in \[0, 3\], got {odd}") for odd in (9, 257, -255)),
+        ({"t_ns": 1.5}, "t_ns must be a whole number, got 1.5"),
     ],
 )
 def test_bad_values_are_refused(changes: dict[str, object], message: str) -> None:

@@ -195,6 +195,11 @@ def test_blind_spot_of_an_open_or_absent_sensor_is_none() -> None:
     assert not seen.any()
 
 
+@pytest.mark.parametrize("offset_m", [(50.0, 0.0), (4.1, 0.0), (0.0, -20.0)])
+def test_a_sensor_off_the_grid_has_no_sectors(offset_m: tuple[float, float]) -> None:
+    assert sectors_of_mask(np.ones((16, 8), bool)[::2], BevGrid(8, 4.0, offset_m), 4).area_m2 == 0.0
+
+
 def wedges(apex: tuple[float, float], bins: int, wider: float) -> list[shapely.Polygon]:
     """The wedges of ``free_ranges`` but for their first 1e-6 m, each ``wider`` radians wider at either side."""
     begin = np.arange(bins) * (2 * np.pi / bins) - wider

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from viewshed import CAR, PEDESTRIAN, BevGrid, FovEstimate, Truth, score
+from viewshed import PEDESTRIAN, BevGrid, FovEstimate, Truth, score
 
 GRID = BevGrid(4, 8.0)
 
@@ -34,7 +34,8 @@ def test_a_truth_is_asked_for_the_estimates_target() -> None:
     assert score(claim, truth).precision() == 1.0
     walker = FovEstimate(GRID, claim.visible_prob, claim.state, target=PEDESTRIAN)
     assert score(walker, truth).precision() == 0.0
-    assert CAR.min_returns <= 9
+    with pytest.raises(ValueError, match="target must be a Target named car or pedestrian, got 'cone'"):
+        truth.visible("cone")
 
 
 def test_what_does_not_fit_is_refused() -> None:

@@ -82,6 +82,7 @@ def test_probability_is_poisson_and_crosses_a_half_at_the_definition(needed: int
         (("x", 1.0, 0.0, 1.0, 5), "width_m must lie in"),
         (("x", 1.0, 1.0, float("nan"), 5), "height_m must lie in"),
         (("x", 1.0, 1.0, 1.0, 0), "min_returns must lie in"),
+        (("x", 1.0, 1.0, 1.0, 2.5), "min_returns must be a whole number"),
     ],
 )
 def test_bad_targets_are_refused(values: tuple[str, float, float, float, int], message: str) -> None:

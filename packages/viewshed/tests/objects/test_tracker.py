@@ -147,6 +147,7 @@ def test_time_that_goes_back_begins_anew_and_says_so() -> None:
     tracks = tracker.step(0.2, cars((2.0, 0.0)), SeesAll(0.2))
     assert tracks.ids.tolist() == [1]
     assert tracks.notes == ("time went back by 1.700 s: all tracks dropped",)
+    assert tracker.step(60_000.0, cars((2.0, 0.0)), SeesAll(60_000.0)).ids.tolist() == [2]  # off for a night
 
 
 @pytest.mark.parametrize(("back_s", "words"), [(0.0, "a sweep again"), (0.2, "a sweep 0.200 s late")])
@@ -188,6 +189,9 @@ def test_odds_of_false_detections_that_nobody_gives_are_noted_once() -> None:
     said = [tracker.step(0.1 * k, cars(*places), SeesAll(0.1 * k)).notes for k, places in enumerate(
         ((), ((5.0, 0.0),), ((5.0, 0.0),))
     )]  # fmt: skip
+    late = Tracker()
+    late.step(0.1, cars(), SeesAll(0.1))
+    assert "false detections are not known" in late.step(0.0, cars((5.0, 0.0)), SeesAll(0.0)).notes[0]
     note = "false detections are not known for this view: 0.1 for one of an object taken; give false_odds"
     assert said == [(), (note,), ()]
     assert not Tracker().step(0.0, cars((5.0, 0.0)), SeesAll(0.0), false_odds=np.array([0.1])).notes
@@ -240,6 +244,8 @@ def test_rules_out_of_range_are_refused() -> None:
         ExistenceRules(recurrence=2.0)
     with pytest.raises(ValueError, match=r"gate must be positive, got 0.0"):
         ExistenceRules(gate=0.0)
+    with pytest.raises(ValueError, match=r"outlier_share must lie in \[0, 1\), got 2.0"):
+        Motion(outlier_share=2.0)
     with pytest.raises(ValueError, match=r"coast_s must be positive, got 0.0"):
         PublishedRules(coast_s=0.0)
 

@@ -86,22 +86,6 @@ def test_pictures_open_and_are_not_blank(count: int) -> None:
         assert free.sum() > 50
 
 
-def _places(image: NDArray[np.float32], state: CellState) -> tuple[float, float]:
-    """Mean row and column of the pixels in a state's color, as shares of the picture."""
-    rows, columns = np.nonzero(np.abs(image - np.array(COLORS[state])).max(axis=-1) < 0.02)
-    return float(rows.mean() / image.shape[0]), float(columns.mean() / image.shape[1])
-
-
-def test_a_block_ahead_at_the_left_is_drawn_at_the_upper_left() -> None:
-    state = np.full(GRID.shape, CellState.FREE, np.uint8)
-    state[10:15, 9:15] = CellState.HIDDEN
-    png = picture(Panel(FovEstimate(GRID, (state == CellState.FREE).astype(np.float32), state), "x"))
-    image = _image(png)[:-100]  # without the legend
-    row, column = _places(image, CellState.HIDDEN)
-    assert row < 0.4
-    assert column < 0.4
-
-
 @pytest.mark.parametrize("cells", [1, 7, 512, 1000])
 def test_grids_of_any_size_make_a_picture(cells: int) -> None:
     grid = BevGrid(cells, 5.0, (3.0, -2.0))

@@ -6,7 +6,7 @@ import warnings
 from collections.abc import Sequence
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import Protocol, cast
+from typing import Any, Protocol, cast
 
 from numpy.typing import ArrayLike
 
@@ -159,6 +159,8 @@ def load_estimator(
     method = current_name(str(name)).replace("paper_polygon_fit", "paper_delaunay")
     options = {"weights": weights, "passes": passes, "seed": seed, "device": None if device == "cpu" else device}
     given = {option: value for option, value in options.items() if value is not None}
+    if method == "unet" and seed is not None:
+        raise ValueError(f"seed must be left out for unet, which draws no masks, got {seed}; use mc_dropout")
     if method in LEARNED:
         estimator: Estimator = load_network(
             method, cells, thing, weights=weights, passes=passes, seed=seed or 0, device=device
@@ -217,18 +219,21 @@ def estimate(
     'shadow_map'
     """
     estimator = _loaded(method, grid_named(grid), target_named(target), device)
+    stated: dict[str, Any] = {
+        "sensor": sensor, "sensor_height_m": sensor_height_m, "world_from_sensor": world_from_sensor,
+    }  # fmt: skip
+    is_stated = any(value is not None for value in stated.values())
     listed = sweep if isinstance(sweep, list | tuple) else ()
     several = [each for each in listed if isinstance(each, Sweep)]
     if several:
-        given = (history, sensor, sensor_height_m, world_from_sensor)
-        if len(several) < len(listed) or any(value is not None for value in given):
+        if len(several) < len(listed) or history is not None or is_stated:
             raise ValueError(
                 "of several LiDARs each must be a Sweep that says its own height and mounting, without history; leave"
                 " out all but method, grid, target and device"
             )
         return union_of_views([estimator.estimate(each) for each in several])
     if isinstance(sweep, Sweep | LeveledSweep):
-        if sensor is not None or sensor_height_m is not None or world_from_sensor is not None:
+        if is_stated:
             raise ValueError(
                 "sensor, sensor_height_m and world_from_sensor go with points, got a Sweep; say them there:"
                 " sweep.replace(model=viewshed.lidar_model(NAME), …)"
@@ -237,16 +242,9 @@ def estimate(
     if isinstance(sweep, str | Path):
         from viewshed.io import read_sweep
 
-        measured = read_sweep(
-            sweep, sensor=sensor, sensor_height_m=sensor_height_m, world_from_sensor=world_from_sensor
-        )
+        measured = read_sweep(sweep, **stated)
     else:
-        measured = sweep_of_points(
-            cast("ArrayLike", sweep),
-            sensor=sensor,
-            sensor_height_m=sensor_height_m,
-            world_from_sensor=world_from_sensor,
-        )
+        measured = sweep_of_points(cast("ArrayLike", sweep), **stated)
     check_units(measured)
     leveled = level(measured, estimator.grid)
     for doubt in doubts(leveled):

@@ -40,8 +40,8 @@ def estimate_all(
 
     Sweeps are taken as they are needed, at most ``2 · batch`` ahead of the estimate that comes next, so that they may
     be more than fit into memory. On a processor each thread does whole sweeps, with a network that runs in it alone:
-    batches are slower there, as the activations of many sweeps do not stay in the cache. On a graphics card, and
-    with OpenVINO, features are computed in threads, those of the next batch while the network is run for this one.
+    batches are slower there, as the activations of many sweeps do not stay in the cache. On a graphics card features
+    are computed in threads, those of the next batch while the network is run for this one.
 
     Args:
         estimator: any that takes each sweep by itself.

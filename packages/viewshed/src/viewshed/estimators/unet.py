@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -245,24 +245,7 @@ def _keep_freed_memory() -> None:
     np.empty(_LARGEST, np.uint8)
 
 
-class NetworkFactory(Protocol):
-    """Makes a network's estimator; see :func:`load_network`."""
-
-    def __call__(
-        self,
-        grid: BevGrid | None = None,
-        target: Target | None = None,
-        *,
-        weights: str | Path | None = None,
-        passes: int | None = None,
-        seed: int = 0,
-        device: str = "cpu",
-    ) -> UnetEstimator:
-        """Return the estimator."""
-        ...
-
-
-LEARNED: dict[str, NetworkFactory] = {
+LEARNED: dict[str, Callable[..., UnetEstimator]] = {
     "unet": partial(load_network, "unet"),
     "mc_dropout": partial(load_network, "mc_dropout"),
 }

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from viewshed import _core, _outputs
 from viewshed._files import write_atomic
+from viewshed.arrays import frozen, whole
 from viewshed.fov.visibility import CAR, Target
 from viewshed.geometry import FloatArray, Rigid
 from viewshed.grid import BevGrid
@@ -141,25 +142,27 @@ class FovEstimate:
     def __post_init__(self) -> None:
         if not 0.0 < self.threshold <= 1.0:
             raise ValueError(f"threshold must lie in (0, 1], got {self.threshold}")
+        object.__setattr__(self, "threshold", float(self.threshold))
+        if self.t_ns is not None:
+            object.__setattr__(self, "t_ns", whole("t_ns", self.t_ns))
+        state = np.asarray(self.state)  # before the cast, which would wrap
+        if state.size and not (state.min() >= 0 and state.max() <= max(CellState)):
+            raise ValueError(f"state must lie in [0, {max(CellState):d}], got {state.min()}…{state.max()}")
         self._store("visible_prob", self.visible_prob, np.float32)
         std: Any = _no_deviation(self.grid.cells) if self.std is None else self.std
         self._store("std", std, np.float32)
         self._store("state", self.state, np.uint8)
         # The least and the greatest of numbers with a NaN among them are NaN, and lie in no bounds.
-        if self.visible_prob.size and not (self.visible_prob.min() >= 0 and self.visible_prob.max() <= 1):
+        if not (self.visible_prob.min() >= 0 and self.visible_prob.max() <= 1):
             raise ValueError("visible_prob must lie in [0, 1] and not be NaN")
         if self.std is not None and (np.asarray(std) < 0).any():
             raise ValueError("std must not be negative; NaN means that the estimator has none")
-        if self.state.size and self.state.max() > max(CellState):
-            raise ValueError(f"state must lie in [0, {max(CellState):d}], got {self.state.max()}")
 
     def _store(self, name: str, value: Any, dtype: type[np.generic]) -> None:
-        array = np.ascontiguousarray(value, dtype=dtype)
+        array = np.asarray(value, dtype)
         if array.shape != self.grid.shape:
             raise ValueError(f"{name} must have the grid's shape {self.grid.shape}, got {array.shape}")
-        array = array.view()
-        array.setflags(write=False)
-        object.__setattr__(self, name, array)
+        object.__setattr__(self, name, frozen(array))
 
     def __repr__(self) -> str:
         shares = ", ".join(f"{self.share(state):.0%} {state.name.lower()}" for state in reversed(CellState))

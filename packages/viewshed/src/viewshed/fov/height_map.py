@@ -83,5 +83,4 @@ class HeightMap:
     def raised(self, delta_m: float) -> HeightMap:
         """Return the same ground with ``delta_m`` meters added to every height."""
         a, b, c = self.plane
-        heights = self.heights_m + np.float32(delta_m)
-        return HeightMap(heights, self.half_extent_m, self.seen, (a, b, c + delta_m), self.support, self.std_m)
+        return replace(self, heights_m=self.heights_m + np.float32(delta_m), plane=(a, b, c + delta_m))

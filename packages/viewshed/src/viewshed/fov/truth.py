@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from viewshed.arrays import frozen
 from viewshed.fov.visibility import CAR, TARGETS, Target
 from viewshed.grid import BevGrid
 
@@ -49,12 +50,10 @@ class Truth:
         object.__setattr__(self, "definitions", masks)
 
     def _fit(self, name: str, value: Any, dtype: type[np.generic]) -> NDArray[Any]:
-        array = np.ascontiguousarray(value)
+        array = np.asarray(value)
         if array.shape != self.grid.shape or array.dtype != dtype:
             raise ValueError(f"{name} must be {dtype.__name__} {self.grid.shape}, got {array.dtype} {array.shape}")
-        array = array.view()
-        array.setflags(write=False)
-        return array
+        return frozen(array)
 
     def visible(self, target: Target | str = CAR) -> NDArray[np.bool_]:
         """Return the mask (cells, cells) of cells where ``target`` would have given enough returns.
@@ -64,6 +63,6 @@ class Truth:
         """
         known = TARGETS.get(target) if isinstance(target, str) else target
         if known is None or known.name not in self.expected_returns:
-            raise ValueError(f"target must be one of {', '.join(self.expected_returns)}, got {target}")
+            raise ValueError(f"target must be a Target named {' or '.join(self.expected_returns)}, got {target!r}")
         mask: NDArray[np.bool_] = self.expected_returns[known.name] >= min(known.min_returns, MAX_COUNT)
         return mask

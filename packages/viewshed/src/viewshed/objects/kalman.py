@@ -42,8 +42,9 @@ class Motion:
                 raise ValueError(f"{name} must not be negative, got {value}")
         if self.center_std_m == 0.0:
             raise ValueError("center_std_m must be positive, got 0.0")
-        if not 0.0 <= self.standing_share < 1.0:
-            raise ValueError(f"standing_share must lie in [0, 1), got {self.standing_share}")
+        for name in ("standing_share", "outlier_share"):
+            if not 0.0 <= getattr(self, name) < 1.0:
+                raise ValueError(f"{name} must lie in [0, 1), got {getattr(self, name)}")
 
     def process_noise(self, dt_s: float) -> F64:
         """Return the covariance (4, 4) that a state gains in ``dt_s`` seconds.

@@ -253,7 +253,7 @@ class ExistenceRules:
             )
         # A track that could not be seen may be found all the same: the view may be wrong.
         found = np.clip(self._found(tracks), 1.0 - self.most_found, self.most_found)
-        real = tracks.existence * found
+        real = np.maximum(tracks.existence * found, 1e-300)  # nothing is left of it after a night without sweeps
         benefit = log_density + np.log(real / (1.0 - real))[:, None] - np.log(self._clutter_per_m2(measured))
         return assign(np.where(squared <= self.gate, benefit, 0.0))
 
@@ -458,10 +458,8 @@ class Tracker:
             return None
         back_s = last.t_s - t_s
         if 0.0 <= back_s <= _LATE_S:
-            what = "again" if back_s == 0.0 else f"{back_s:.3f} s late"
-            return replace(
-                last, detection=np.full(len(last), -1, np.int32), notes=(f"a sweep {what}: its detections left out",)
-            )
+            notes.append(f"a sweep {'again' if back_s == 0.0 else f'{back_s:.3f} s late'}: its detections left out")
+            return replace(last, detection=np.full(len(last), -1, np.int32), notes=tuple(notes))
         if back_s > 0.0:
             notes.append(f"time went back by {back_s:.3f} s: all tracks dropped")
             self.reset()

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from viewshed import _core
-from viewshed.arrays import F32, Mask
+from viewshed.arrays import Mask
 from viewshed.fov.height_map import HeightMap
 from viewshed.fov.visibility import Beams
 from viewshed.geometry import Rigid, rotation_from_quaternion
@@ -157,11 +157,15 @@ def _level_planar(sweep: Sweep, grid: BevGrid) -> LeveledSweep:
     rotation = np.eye(3) if attitude is None else rotation_from_quaternion(attitude)
     level_from_sensor = Rigid(rotation, np.array([0.0, 0.0, sweep.sensor_height_m or PLANE_HEIGHT_M]))
     ground, heading = HeightMap.flat(_half_extent_m(grid)), sweep.vehicle_yaw or 0.0
-    points, range_m, azimuth, heights_m, rows = _level_points(sweep, level_from_sensor, heading, ground)
+    points, range_m, azimuth, heights_m, rows = _core.level_points(
+        sweep.points, None, level_from_sensor.as_matrix()[:3].astype(np.float32), *range_limits(sweep), heading,
+        ground.heights_m, ground.half_extent_m,
+    )  # fmt: skip
     # Whatever a beam of the plane meets is an obstacle, however low the plane is.
-    heights_m = np.maximum(heights_m, np.float32(_OBSTACLE_M))
-    heights_m.setflags(write=False)
-    return LeveledSweep(sweep, points, range_m, azimuth, heights_m, rows, level_from_sensor, ground)
+    columns = points, range_m, azimuth, np.maximum(heights_m, np.float32(_OBSTACLE_M)), rows
+    for column in columns:
+        column.setflags(write=False)
+    return LeveledSweep(sweep, *columns, level_from_sensor, ground)
 
 
 def leveled_on(sweep: Sweep | LeveledSweep, grid: BevGrid, before: SensorId = UNIDENTIFIED) -> LeveledSweep:
@@ -198,21 +202,3 @@ def range_limits(sweep: Sweep) -> tuple[float, float]:
 def _half_extent_m(grid: BevGrid) -> float:
     """Return half the side in meters of the ground that a grid needs."""
     return grid.half_extent_m + max(abs(offset) for offset in grid.offset_m)
-
-
-def _level_points(
-    sweep: Sweep, level_from_sensor: Rigid, heading: float, ground: HeightMap
-) -> tuple[F32, F32, F32, F32, NDArray[np.int32]]:
-    """Return points (M, 3), range, azimuth, height above the ground and row in the sweep (M,) of returns that count."""
-    columns = _core.level_points(
-        sweep.points,
-        None,
-        level_from_sensor.as_matrix()[:3].astype(np.float32),
-        *range_limits(sweep),
-        heading,
-        ground.heights_m,
-        ground.half_extent_m,
-    )
-    for column in columns:
-        column.setflags(write=False)
-    return columns
