@@ -42,8 +42,7 @@ void bind_concave_hull(nb::module_& m) {
             const std::vector<PlanePoint> thinned = thin_checked(points, range_m, grid);
             Buffer<bool> inside(cells * cells);
             Buffer<float> visible(cells * cells);
-            {
-                nb::gil_scoped_release unlocked;
+            without_lock([&] {
                 std::vector<Edge> edges;
                 if (span_area(thinned)) {
                     const std::vector<PlanePoint> ring = concave_hull(thinned, concavity, length_m);
@@ -51,7 +50,7 @@ void bind_concave_hull(nb::module_& m) {
                 }
                 fill_rings(edges, grid, inside.view(cells, cells));
                 for (std::size_t k = 0; k < visible.size(); ++k) visible[k] = inside[k] ? 1.0f : 0.0f;
-            }
+            });
             return array(std::move(visible), {cells, cells});
         },
         "points"_in, "range_m"_in, "concavity"_a, "length_m"_a, "x_m"_a, "y_m"_a, "cell_m"_a,

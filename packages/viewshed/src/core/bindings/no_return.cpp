@@ -38,12 +38,6 @@ Pixels pixels_of(const In1<std::int16_t>& ring, const In1<std::int32_t>& column,
     return {view(ring), view(column), view(counts), left_out ? view(*left_out) : none, clutter ? view(*clutter) : none};
 }
 
-auto arrays_of(BeamColumns&& beams) {
-    const std::size_t count = beams.count;
-    return tuple_of(array(std::move(beams.azimuth), {count}), array(std::move(beams.slope), {count}),
-                    array(std::move(beams.depth_m), {count}));
-}
-
 Ground ground_of(const In2<float>& heights_m, float half_extent_m) {
     const std::size_t nodes = heights_m.shape(0);
     require(heights_m.shape(1) == nodes, "ground_m must be (n, n)");
@@ -116,16 +110,14 @@ void bind_no_return(nb::module_& m) {
                                     view(range_m), view(height_m), copy_of(view(rows)), obstacle_m,
                                     float(sensor_height_m), ground_of(ground_m, half_extent_m)};
             sweep.check();
-            std::optional<NoReturnGroups> groups;
-            {
-                nb::gil_scoped_release unlocked;
-                groups = describe_no_return_beams(sweep.images(), sweep.aims, sweep.ground, sweep.sensor_height_m, top_m,
-                                                  sweep.steep_m());
-            }
-            const std::size_t size = groups->azimuth.size();
-            return tuple_of(array(std::move(groups->azimuth)), array(std::move(groups->slope)),
-                            array(std::move(groups->beams)), array(std::move(groups->feature), {size, FEATURES}),
-                            array(std::move(groups->stop), {size, std::size_t(STOPS)}));
+            NoReturnGroups groups = without_lock([&] {
+                return describe_no_return_beams(sweep.images(), sweep.aims, sweep.ground, sweep.sensor_height_m, top_m,
+                                                sweep.steep_m());
+            });
+            const std::size_t size = groups.azimuth.size();
+            return tuple_of(array(std::move(groups.azimuth)), array(std::move(groups.slope)),
+                            array(std::move(groups.beams)), array(std::move(groups.feature), {size, FEATURES}),
+                            array(std::move(groups.stop), {size, std::size_t(STOPS)}));
         },
         "ring"_a.noconvert(), "column"_a.noconvert(), "counts"_a.noconvert(), "isolated"_a.noconvert(),
         "clutter"_a.noconvert().none(), "phase"_a.noconvert(), "elevation"_a.noconvert(), "origin_m"_a.noconvert(),
@@ -142,14 +134,12 @@ void bind_no_return(nb::module_& m) {
             const RingAims aims{view(phase), view(elevation), view(origin_m), rotation.data()};
             require_aims(aims, counts.shape(0));
             require(are_as_long(range_m, height_m, rows), "range_m, height_m and rows must be as long");
-            std::optional<BeamColumns> beams;
-            {
-                nb::gil_scoped_release unlocked;
-                // Neither obstacles nor shares of ground are needed.
-                const Returns returns{view(range_m), view(height_m), view(rows)};
-                beams = no_return_beams(depth_images(pixels, returns, INFINITY, INFINITY), aims, fill);
-            }
-            return arrays_of(std::move(*beams));
+            // Neither obstacles nor shares of ground are needed.
+            const Returns returns{view(range_m), view(height_m), view(rows)};
+            BeamColumns beams = without_lock(
+                [&] { return no_return_beams(depth_images(pixels, returns, INFINITY, INFINITY), aims, fill); });
+            const auto shaped = [&](auto& buffer) { return array(std::move(buffer), {beams.count}); };
+            return tuple_of(shaped(beams.azimuth), shaped(beams.slope), shaped(beams.depth_m));
         },
         "ring"_a.noconvert(), "column"_a.noconvert(), "counts"_a.noconvert(), "clutter"_a.noconvert().none(),
         "phase"_a.noconvert(), "elevation"_a.noconvert(), "origin_m"_a.noconvert(), "rotation"_a.noconvert(),

@@ -105,10 +105,7 @@ void bind_temporal_evidence(nb::module_& m) {
                 const std::vector<Other> others = others_of(views, transforms, gaps_s);
                 const Transform placed = transform_of(around_from_self);
                 Buffer<float> speed_mps(sectors);
-                {
-                    nb::gil_scoped_release unlocked;
-                    follow_all(self, others, around, placed, speed_mps);
-                }
+                without_lock([&] { follow_all(self, others, around, placed, speed_mps); });
                 return array(std::move(speed_mps));
             },
             "views"_a, "transforms"_a.noconvert(), "gaps_s"_a.noconvert(), "around"_a, "around_from_self"_a.noconvert(),
@@ -123,11 +120,8 @@ void bind_temporal_evidence(nb::module_& m) {
                 require(views.size() == 2, "two views are needed");
                 const std::vector<Other> others = others_of(views, transforms, gaps_s);
                 Buffer<float> jump_m(sectors);
-                {
-                    nb::gil_scoped_release unlocked;
-                    const float ratio = (others[0].gap_s + others[1].gap_s) / others[0].gap_s;
-                    jumps(self, others[0], others[1], ratio, jump_m);
-                }
+                const float ratio = (others[0].gap_s + others[1].gap_s) / others[0].gap_s;
+                without_lock([&] { jumps(self, others[0], others[1], ratio, jump_m); });
                 return array(std::move(jump_m));
             },
             "views"_a, "transforms"_a.noconvert(), "gaps_s"_a.noconvert(), "sectors"_a,
@@ -168,10 +162,7 @@ void bind_temporal_evidence(nb::module_& m) {
                     columns.push_back(turned[k] * float(self.columns()) / (2 * PI));
                 }
                 Buffer<float> nearer(sectors), farther(sectors), silent(sectors);
-                {
-                    nb::gil_scoped_release unlocked;
-                    find_new_ranges(self, views, columns, nearer, farther, silent);
-                }
+                without_lock([&] { find_new_ranges(self, views, columns, nearer, farther, silent); });
                 return tuple_of(array(std::move(nearer)), array(std::move(farther)), array(std::move(silent)));
             },
             "views"_a, "turned"_a, "sectors"_a,
@@ -216,8 +207,7 @@ void bind_temporal_evidence(nb::module_& m) {
             const auto bytes = [cells](const In2<bool>& mask) {
                 return View2<const std::uint8_t>{reinterpret_cast<const std::uint8_t*>(mask.data()), cells, cells};
             };
-            Shift shift{};
-            without_lock([&] { shift = best_shift(bytes(now), bytes(before), most); });
+            const Shift shift = without_lock([&] { return best_shift(bytes(now), bytes(before), most); });
             return tuple_of(shift.down, shift.across, int(shift.cells), int(shift.elsewhere));
         },
         "now"_in, "before"_in, "most"_a,
@@ -227,9 +217,7 @@ void bind_temporal_evidence(nb::module_& m) {
     m.def(
         "range_noise",
         [](Points points, float step_share, float step_m, std::size_t least) {
-            float noise_m = 0.0f;
-            without_lock([&] { noise_m = range_noise(view(points), step_share, step_m, least); });
-            return noise_m;
+            return without_lock([&] { return range_noise(view(points), step_share, step_m, least); });
         },
         "points"_in, "step_share"_a, "step_m"_a, "least"_a,
         "Lower quartile m of second differences of range between returns that follow each other on one surface; NaN where "
@@ -248,11 +236,9 @@ void bind_temporal_evidence(nb::module_& m) {
                 require(std::isfinite(t_s), "t_s must be finite");
                 const Transform placed = bounded(transform_of(now_from_memory));
                 const std::vector<Other> earlier = others_of(views, transforms, gaps_s);
+                // With the interpreter's lock: another thread may add a sweep to the memory.
                 Buffer<float> gone_m(sectors), new_m2(sectors);
-                {
-                    nb::gil_scoped_release unlocked;
-                    self.check(now, placed, t_s, earlier, gone_m, new_m2);
-                }
+                self.check(now, placed, t_s, earlier, gone_m, new_m2);
                 return tuple_of(array(std::move(gone_m)), array(std::move(new_m2)));
             },
             "now"_a, "now_from_memory"_a.noconvert(), "t_s"_a, "views"_a, "transforms"_a.noconvert(),

@@ -115,7 +115,7 @@ class ComparedView:
             from_above=report.elevated, nearest_m=NEAREST_M, farthest_m=min(FARTHEST_M, grid.half_extent_m),
             same_ground_m=SAME_GROUND_M,
         )  # fmt: skip
-        if self.visible.mean() < LEAST_SEEN:
+        if self.visible.sum() < LEAST_SEEN * self.visible.size:
             free = np.zeros_like(free)
         return np.column_stack([_shares(through, claimed, 0), _shares(denied, free, 1)])
 
@@ -149,15 +149,15 @@ def _lattice(grid: BevGrid) -> F64:
     steps = np.arange(-FARTHEST_M, FARTHEST_M, 1.0) + 0.3  # off the edges of cells
     xy = np.stack(np.meshgrid(steps, steps, indexing="ij"), axis=-1).reshape(-1, 2)
     range_m = np.hypot(xy[:, 0], xy[:, 1])
-    lattice: F64 = xy[(range_m > NEAREST_M) & (range_m < min(FARTHEST_M, grid.half_extent_m))]
+    near = (range_m > NEAREST_M) & (range_m < min(FARTHEST_M, grid.half_extent_m))
+    lattice: F64 = xy[near & grid.index(xy)[1]]
     return lattice
 
 
 @lru_cache(maxsize=4)
 def _lattice_numbers(grid: BevGrid) -> NDArray[np.intp]:
-    """Return the flat numbers (P,) of the cells of the lattice, the nearest ones beyond the edge."""
-    cells = np.clip(((_lattice(grid) - grid.origin_m) / grid.cell_m).astype(np.intp), 0, grid.cells - 1)
-    return np.ravel_multi_index((cells[:, 0], cells[:, 1]), grid.shape)
+    """Return the flat numbers (P,) of the cells of the lattice."""
+    return np.ravel_multi_index(tuple(grid.index(_lattice(grid))[0].T), grid.shape)
 
 
 def _shares(some: NDArray[np.int32], total: NDArray[np.int32], name: int) -> F64:
