@@ -261,7 +261,7 @@ void compare_view(const ViewCells<std::uint8_t>& states, const ViewGround& groun
         if (cells.owner[k] == own) continue;
         const double x = cells.places_m(k, 0) - pose.x_m, y = cells.places_m(k, 1) - pose.y_m;
         const double level_x = cosine * x + sine * y, level_y = cosine * y - sine * x, range_m = std::hypot(x, y);
-        if (!(range_m > where.nearest_m && range_m < where.farthest_m && is_on(states, level_x, level_y))) continue;
+        if (!(range_m > where.nearest_m && range_m < where.farthest_m)) continue;
         near.push_back(k);
         level.insert(level.end(), {level_x, level_y});
         at.insert(at.end(), {float(level_x), float(level_y)});
@@ -283,7 +283,7 @@ void compare_view(const ViewCells<std::uint8_t>& states, const ViewGround& groun
         const double x = level[2 * n], y = level[2 * n + 1];
         const auto owner = std::size_t(cells.owner[k]);
         open.add(x, y);
-        if (!is_visible(state_at(states, x, y))) continue;
+        if (!is_on(states, x, y) || !is_visible(state_at(states, x, y))) continue;
         ++counts(0, owner);
         bool all_free = true;
         for (const double dx : {-ABOUT_M, 0.0, ABOUT_M}) {
@@ -294,7 +294,7 @@ void compare_view(const ViewCells<std::uint8_t>& states, const ViewGround& groun
     open.widen(states.cell_m);
     for (const std::size_t n : free) {
         const double x = level[2 * n], y = level[2 * n + 1];
-        if (!from_above && !open.holds(x, y)) continue;
+        if (!is_on(states, x, y) || (!from_above && !open.holds(x, y))) continue;
         const auto owner = std::size_t(cells.owner[near[n]]);
         ++counts(2, owner);
         counts(3, owner) += state_at(states, x, y) == HIDDEN;

@@ -63,7 +63,7 @@ void bind_ground(nb::module_& m) {
             FoundGround found = without_lock([&] { return estimate_ground(*lattice_of(lows.nodes, half_m), lows, height_m); });
             return as_tuple(found, lows.nodes);
         },
-        "lows_m"_a.noconvert(), "rise_m"_a.noconvert(), "half_m"_a, "height_m"_a,
+        "lows_m"_in, "rise_m"_in, "half_m"_a, "height_m"_a,
         "Heights, deviations, seen nodes (n, n), plane, support, and level (or NaN) of the ground, by low points (n, n, 3) "
         "and the rise (n, n) from each to the highest return of its node.");
     m.def(
@@ -83,7 +83,7 @@ void bind_ground(nb::module_& m) {
             });
             return tuple_of(array(std::move(heights_m), {n, n}), array(std::move(std_m), {n, n}));
         },
-        "walked_m"_a.noconvert(), "accepted"_a.noconvert(), "plane"_a.noconvert(), "half_m"_a,
+        "walked_m"_in, "accepted"_in, "plane"_in, "half_m"_a,
         "Heights and standard deviations (n, n) of the ground between and beyond the accepted nodes (n, n).");
     m.def(
         "free_plane",
@@ -93,7 +93,7 @@ void bind_ground(nb::module_& m) {
             std::copy_n(found.normal.data(), 3, normal.data());
             return tuple_of(array(std::move(normal)), found.support);
         },
-        "points"_a.noconvert(),
+        "points"_in,
         "Unit normal (3,) of the ground below a sensor tilted by up to 60°, and the share of area of points (n, 3) on it.");
 }
 

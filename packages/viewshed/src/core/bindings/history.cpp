@@ -25,14 +25,13 @@ void bind_history(nb::module_& m) {
                 require(transform.shape(0) == 3 && transform.shape(1) == 4, "transform must have shape (3, 4)");
             }
             Buffer<float> image(SLOPE_ROWS * AZIMUTHS);
-            {
-                nb::gil_scoped_release unlocked;
+            without_lock([&] {
                 std::vector<std::vector<Point>> sweeps;
                 for (const auto& [points, height_m, transform] : clouds) {
                     sweeps.push_back(obstacle_points(view(points), view(height_m), view(transform), least_m));
                 }
                 draw_image(sweeps, sensor_height_m, image.view(SLOPE_ROWS, AZIMUTHS));
-            }
+            });
             return array(std::move(image), {SLOPE_ROWS, AZIMUTHS});
         },
         "clouds"_in, "least_m"_a, "sensor_height_m"_a,

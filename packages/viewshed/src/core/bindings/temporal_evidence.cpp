@@ -90,10 +90,8 @@ void bind_temporal_evidence(nb::module_& m) {
                 new (self) SweepView(view(squared_m2), own_phase, own_elevation, own_origin_m, view(points), view(height_m),
                                      view(range_m), view(azimuth), view(isolated), transform);
             },
-            "squared_m2"_a.noconvert(), "phase"_a.noconvert(), "elevation"_a.noconvert(), "origin_m"_a.noconvert(),
-            "points"_a.noconvert(),
-            "height_m"_a.noconvert(), "range_m"_a.noconvert(), "azimuth"_a.noconvert(), "isolated"_a.noconvert(),
-            "sensor_from_level"_a.noconvert())
+            "squared_m2"_in, "phase"_in, "elevation"_in, "origin_m"_in, "points"_in, "height_m"_in, "range_m"_in,
+            "azimuth"_in, "isolated"_in, "sensor_from_level"_in)
         .def_prop_ro("rings", &SweepView::rings)
         .def_prop_ro("columns", &SweepView::columns)
         .def_prop_ro("obstacles", [](const SweepView& self) { return self.obstacles().size(); })
@@ -108,8 +106,7 @@ void bind_temporal_evidence(nb::module_& m) {
                 without_lock([&] { follow_all(self, others, around, placed, speed_mps); });
                 return array(std::move(speed_mps));
             },
-            "views"_a, "transforms"_a.noconvert(), "gaps_s"_a.noconvert(), "around"_a, "around_from_self"_a.noconvert(),
-            "sectors"_a,
+            "views"_a, "transforms"_in, "gaps_s"_in, "around"_a, "around_from_self"_in, "sectors"_a,
             "Speed m/s that obstacles need to be found as these views found them (sectors,), by azimuth about the sweep "
             "`around`.")
         .def(
@@ -124,7 +121,7 @@ void bind_temporal_evidence(nb::module_& m) {
                 without_lock([&] { jumps(self, others[0], others[1], ratio, jump_m); });
                 return array(std::move(jump_m));
             },
-            "views"_a, "transforms"_a.noconvert(), "gaps_s"_a.noconvert(), "sectors"_a,
+            "views"_a, "transforms"_in, "gaps_s"_in, "sectors"_a,
             "How far surfaces jump (sectors,) m against constant speeds, over the two views before.")
         .def(
             "repeats",
@@ -135,14 +132,13 @@ void bind_temporal_evidence(nb::module_& m) {
                             "views must have the same rings and columns");
                 }
                 Buffer<float> share(views.size() * sectors);
-                {
-                    nb::gil_scoped_release unlocked;
+                without_lock([&] {
                     for_ranges(views.size(), views.size(), [&](std::size_t, std::size_t begin, std::size_t end) {
                         for (std::size_t k = begin; k < end; ++k) {
                             find_repeats(self, *views[k], {share.data() + k * sectors, sectors});
                         }
                     });
-                }
+                });
                 return array(std::move(share), {views.size(), sectors});
             },
             "views"_a, "sectors"_a,
@@ -173,12 +169,11 @@ void bind_temporal_evidence(nb::module_& m) {
             [](const SweepView& self, const std::vector<const SweepView*>& views, In3<float> transforms) {
                 const std::vector<Transform> to_each = transforms_of(views, transforms);
                 std::vector<Registration> found(views.size());
-                {
-                    nb::gil_scoped_release unlocked;
+                without_lock([&] {
                     for_ranges(views.size(), views.size(), [&](std::size_t, std::size_t begin, std::size_t end) {
                         for (std::size_t k = begin; k < end; ++k) found[k] = register_on(self, *views[k], to_each[k]);
                     });
-                }
+                });
                 Buffer<double> step(3 * views.size()), information(9 * views.size()), sigma_m(views.size());
                 Buffer<std::int64_t> matches(views.size());
                 for (std::size_t k = 0; k < views.size(); ++k) {
@@ -193,7 +188,7 @@ void bind_temporal_evidence(nb::module_& m) {
                                 array(std::move(information), {views.size(), 3, 3}), array(std::move(sigma_m)),
                                 array(std::move(matches)));
             },
-            "views"_a, "transforms"_a.noconvert(),
+            "views"_a, "transforms"_in,
             "Turn and shift (K, 3) that lay the obstacles on the surfaces of each of other views, the information about "
             "them (K, 3, 3), the deviation of a return in meters (K,), and how many were used (K,).");
 
@@ -241,8 +236,7 @@ void bind_temporal_evidence(nb::module_& m) {
                 self.check(now, placed, t_s, earlier, gone_m, new_m2);
                 return tuple_of(array(std::move(gone_m)), array(std::move(new_m2)));
             },
-            "now"_a, "now_from_memory"_a.noconvert(), "t_s"_a, "views"_a, "transforms"_a.noconvert(),
-            "gaps_s"_a.noconvert(), "sectors"_a,
+            "now"_a, "now_from_memory"_in, "t_s"_a, "views"_a, "transforms"_in, "gaps_s"_in, "sectors"_a,
             "Meters of standing surfaces that the sweep looks through, area m2 of obstacles that are new and came fast "
             "(sectors,), by azimuth about the sweep.")
         .def(
@@ -251,7 +245,7 @@ void bind_temporal_evidence(nb::module_& m) {
                 require(std::isfinite(t_s), "t_s must be finite");
                 self.add(now, bounded(transform_of(memory_from_now)), bounded(transform_of(now_from_memory)), t_s);
             },
-            "now"_a, "memory_from_now"_a.noconvert(), "now_from_memory"_a.noconvert(), "t_s"_a,
+            "now"_a, "memory_from_now"_in, "now_from_memory"_in, "t_s"_a,
             "Remember the obstacles of a sweep; forget what was not seen for ten seconds.");
 }
 
