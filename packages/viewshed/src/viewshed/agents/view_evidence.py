@@ -157,7 +157,8 @@ def _lattice(grid: BevGrid) -> F64:
 @lru_cache(maxsize=4)
 def _lattice_numbers(grid: BevGrid) -> NDArray[np.intp]:
     """Return the flat numbers (P,) of the cells of the lattice."""
-    return np.ravel_multi_index(tuple(grid.index(_lattice(grid))[0].T), grid.shape)
+    cells, _ = grid.index(_lattice(grid))
+    return np.ravel_multi_index((cells[:, 0], cells[:, 1]), grid.shape)
 
 
 def _shares(some: NDArray[np.int32], total: NDArray[np.int32], name: int) -> F64:
