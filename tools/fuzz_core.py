@@ -138,7 +138,6 @@ def use_everything() -> None:
     # 1. What nothing below calls, or not always.
     counts = np.ones((16, 360), np.uint8)
     _core.set_threads(_core.threads())
-    _core.least_confirmations(1.0)
     _core.silent_columns(counts)
     _core.pixels_without(np.zeros(4, np.int16), np.ones(4, np.bool_), np.arange(4, dtype=np.int32), counts)
     _core.unpack_lzf(np.array([0, 65, 224, 1, 0], np.uint8), np.empty(11, np.uint8))  # "A", then ten bytes from it

@@ -78,7 +78,7 @@ typedef struct {
 
 VIEWSHED_API const char *viewshed_version(void);
 
-/* What the last failed call of this thread found, in a line: valid until the next call. */
+/* Why the last call of this thread failed, in a line; empty where it did not. Valid until the next call. */
 VIEWSHED_API const char *viewshed_error(void);
 
 /* How many threads a stage may use, 1 to 4, in all streams. */

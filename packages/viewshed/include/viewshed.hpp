@@ -58,14 +58,17 @@ public:
 
     // The outline of what the last estimate calls visible.
     Outline outline() const {
+        Outline found;
         std::size_t corners = 0, rings = 0;
-        const viewshed_status status = viewshed_outline(stream_, nullptr, 0, nullptr, nullptr, 0, &corners, &rings);
-        if (status != VIEWSHED_ERROR_ROOM) check(status);
-        Outline outline{std::vector<double>(2 * corners), std::vector<std::int64_t>(rings + 1), std::vector<std::int32_t>(rings)};
-        if (rings == 0) return outline;
-        check(viewshed_outline(stream_, outline.corners_m.data(), corners, outline.begin.data(), outline.region.data(), rings,
-                               &corners, &rings));
-        return outline;
+        viewshed_status status = VIEWSHED_ERROR_ROOM;
+        while (status == VIEWSHED_ERROR_ROOM) {  // and again where another thread estimates meanwhile
+            found.corners_m.resize(2 * corners), found.begin.resize(rings + 1), found.region.resize(rings);
+            status = viewshed_outline(stream_, found.corners_m.data(), corners, found.begin.data(), found.region.data(), rings,
+                                      &corners, &rings);
+        }
+        check(status);
+        found.corners_m.resize(2 * corners), found.begin.resize(rings + 1), found.region.resize(rings);
+        return found;
     }
 
 private:

@@ -58,6 +58,35 @@ assert same()
     subprocess.run((sys.executable, "-W", "ignore", "-c", code), check=True, timeout=60)
 
 
+def test_a_memory_may_be_asked_while_another_thread_adds_to_it() -> None:
+    code = """
+import threading, time
+import numpy as np
+from viewshed import _core
+rng, flat, here = np.random.default_rng(0), np.zeros(16, np.float32), np.eye(3, 4, dtype=np.float32)
+def view():
+    azimuth, range_m = (rng.uniform(low, high, 20_000).astype(np.float32) for low, high in ((-3.1, 3.1), (3, 44)))
+    points = np.column_stack([range_m * np.cos(azimuth), range_m * np.sin(azimuth), azimuth * 0 + 1])
+    image = np.full((16, 1024), 900, np.float32), flat, np.linspace(-0.3, 0.1, 16, dtype=np.float32), flat
+    return _core.SweepView(*image, points, points[:, 2].copy(), range_m, azimuth, range_m < 0, here)
+views, memory, end = [view() for _ in range(3)], _core.CellMemory(), time.monotonic() + 1.5
+def ask():
+    while time.monotonic() < end:
+        memory.check(views[0], here, 1.0, views[1:2], here[None].copy(), np.ones(1, np.float32), 36)
+threads = [threading.Thread(target=ask) for _ in range(2)]
+for each in threads: each.start()
+t_s = 0.0
+while time.monotonic() < end:
+    there, back, t_s = here.copy(), here.copy(), t_s + 1.0
+    there[0, 3] = rng.uniform(0, 300)
+    back[0, 3] = -there[0, 3]
+    memory.add(views[2], there, back, t_s)
+for each in threads: each.join()
+"""
+    run = subprocess.run((sys.executable, "-c", code), capture_output=True, text=True, check=False, timeout=60)
+    assert run.returncode == 0, run.stderr
+
+
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="this system does not fork")
 @pytest.mark.skipif("VIEWSHED_CORE" in os.environ, reason="the sanitizer's own heap is locked in forked processes")
 def test_processes_forked_while_threads_allocate_use_the_core() -> None:

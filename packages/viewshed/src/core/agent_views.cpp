@@ -40,6 +40,11 @@ double entry_m(double slope, double middle_m, double half_m) {
     return middle_m / slope - half_m / std::fabs(slope);
 }
 
+bool is_on(const ViewCells<std::uint8_t>& view, double x_m, double y_m) {
+    const double i = (x_m - view.x_m) / view.cell_m, j = (y_m - view.y_m) / view.cell_m;
+    return i >= 0 && i < double(view.values.rows) && j >= 0 && j < double(view.values.columns);
+}
+
 // The row or column of a coordinate, the nearest one beyond the edge.
 std::size_t clamped(double at, std::size_t cells) {
     return at > 0 ? std::size_t(std::min(at, double(cells - 1))) : 0;
@@ -111,10 +116,9 @@ void look_at_boxes(const ViewCells<std::uint8_t>& states, const UprightPose& pos
                    double place_y_m, std::size_t along, std::size_t across, View2<double> out) {
     const double pose_cosine = std::cos(pose.yaw), pose_sine = std::sin(pose.yaw);
     const auto state_of = [&](double x, double y) {
-        const double i = (pose_cosine * (x - pose.x_m) + pose_sine * (y - pose.y_m) - states.x_m) / states.cell_m;
-        const double j = (pose_cosine * (y - pose.y_m) - pose_sine * (x - pose.x_m) - states.y_m) / states.cell_m;
-        const bool inside = i >= 0 && i < double(states.values.rows) && j >= 0 && j < double(states.values.columns);
-        return inside ? states.values(std::size_t(i), std::size_t(j)) : UNKNOWN;
+        const double level_x = pose_cosine * (x - pose.x_m) + pose_sine * (y - pose.y_m);
+        const double level_y = pose_cosine * (y - pose.y_m) - pose_sine * (x - pose.x_m);
+        return is_on(states, level_x, level_y) ? state_at(states, level_x, level_y) : UNKNOWN;
     };
     const std::size_t count = along * across;
     std::vector<double> depth_m(count);
@@ -279,7 +283,7 @@ void compare_view(const ViewCells<std::uint8_t>& states, const ViewGround& groun
         const double x = level[2 * n], y = level[2 * n + 1];
         const auto owner = std::size_t(cells.owner[k]);
         open.add(x, y);
-        if (!is_visible(state_at(states, x, y))) continue;
+        if (!is_on(states, x, y) || !is_visible(state_at(states, x, y))) continue;
         ++counts(0, owner);
         bool all_free = true;
         for (const double dx : {-ABOUT_M, 0.0, ABOUT_M}) {
@@ -290,7 +294,7 @@ void compare_view(const ViewCells<std::uint8_t>& states, const ViewGround& groun
     open.widen(states.cell_m);
     for (const std::size_t n : free) {
         const double x = level[2 * n], y = level[2 * n + 1];
-        if (!from_above && !open.holds(x, y)) continue;
+        if (!is_on(states, x, y) || (!from_above && !open.holds(x, y))) continue;
         const auto owner = std::size_t(cells.owner[near[n]]);
         ++counts(2, owner);
         counts(3, owner) += state_at(states, x, y) == HIDDEN;
@@ -300,12 +304,11 @@ void compare_view(const ViewCells<std::uint8_t>& states, const ViewGround& groun
 std::array<std::int32_t, 5> compare_past(const ViewCells<std::uint8_t>& now, const ViewCells<std::uint8_t>& last,
                                          const UprightPose& last_from_now, View2<const double> places) {
     const double cosine = std::cos(last_from_now.yaw), sine = std::sin(last_from_now.yaw);
-    const double half_m = last.cell_m * double(last.values.rows) / 2;
     std::array<std::int32_t, 5> counts{};
     for (std::size_t k = 0; k < places.rows; ++k) {
         const double x = cosine * places(k, 0) - sine * places(k, 1) + last_from_now.x_m;
         const double y = sine * places(k, 0) + cosine * places(k, 1) + last_from_now.y_m;
-        if (!(std::max(std::fabs(x), std::fabs(y)) < half_m)) continue;
+        if (!is_on(last, x, y) || !is_on(now, places(k, 0), places(k, 1))) continue;
         const std::uint8_t here = state_at(now, places(k, 0), places(k, 1)), before = state_at(last, x, y);
         const bool sees = is_visible(here), saw = is_visible(before);
         counts[0] += sees;

@@ -27,7 +27,7 @@ constexpr float CAME_MPS = 8.0f;
 
 std::int64_t key_of(float x, float y) {
     const auto u = std::int64_t(std::floor(x / CELL_M)), v = std::int64_t(std::floor(y / CELL_M));
-    return u * (std::int64_t{1} << 32) + v;
+    return std::int64_t((std::uint64_t(u) << 32) + std::uint64_t(v));
 }
 
 bool is_near(Point3 p, float most_m) { return p.x * p.x + p.y * p.y < most_m * most_m; }

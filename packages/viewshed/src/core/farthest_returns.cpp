@@ -28,7 +28,8 @@ constexpr float LEAST_M = 0.5f;
 
 // A sensor reports several returns of a beam if more than this share of the returns are of the beam of another. It shows in 16
 // sectors of azimuth, a 1,024th of the turn each, and in several of them: while a car turns, the first beams of a sweep and the
-// last ones point the same way, and have one return each. A sweep of few returns is looked at as a whole.
+// last ones point the same way, and have one return each. A sweep of few returns is looked at as a whole; of a sector with more
+// the first ones are.
 constexpr double LEAST_SHARE = 0.01;
 constexpr int SECTORS_OF_TURN = 1024, LOOKED_AT = 16, LEAST_SECTORS = 4;
 constexpr std::size_t FEW = 4096;
@@ -91,7 +92,8 @@ bool has_several(const AimedReturns& returns) {
     for (std::size_t k = 0; k < count; ++k) {
         if (!returns.counts(k)) continue;
         const int sector = is_small ? EVERY / 2 : int((azimuth[k] + PI) * (float(SECTORS_OF_TURN) / (2.0f * PI)));
-        if (sector % EVERY == EVERY / 2) some[std::size_t(sector / EVERY)].push_back(std::uint32_t(k));
+        if (sector % EVERY != EVERY / 2 || some[std::size_t(sector / EVERY)].size() == FEW) continue;
+        some[std::size_t(sector / EVERY)].push_back(std::uint32_t(k));
     }
     std::size_t shared = 0, every = 0;
     int sectors = 0;
@@ -106,8 +108,8 @@ bool has_several(const AimedReturns& returns) {
 // that those of a beam lie in one cell or in the one on the nearer side of it.
 class ByDirection {
 public:
-    ByDirection(const AimedReturns& returns, std::size_t count)
-        : returns_(returns), first_(std::bit_ceil(2 * count), NONE), next_(count) {}
+    ByDirection(const AimedReturns& returns, const std::vector<char>& kept)
+        : returns_(returns), kept_(kept), first_(std::bit_ceil(2 * kept.size()), NONE), next_(kept.size()) {}
 
     void add(std::uint32_t k) {
         std::uint32_t& first = first_[slot_of(cell(column_of(k), COLUMNS), cell(row_of(k), 0))];
@@ -115,17 +117,23 @@ public:
         first = k;
     }
 
-    // Call body for each return that was added and is of the same beam.
+    // Call body for each return that was added, is kept and is of the same beam; those that are not kept any more leave.
     template <typename Body>
-    void for_same_beam(std::uint32_t k, const Body& body) const {
+    void for_same_beam(std::uint32_t k, const Body& body) {
         const float column = column_of(k), row = row_of(k);
         const std::int32_t c = cell(column, COLUMNS), r = cell(row, 0), rows = returns_.ring ? 1 : 2;
         const std::int32_t column_cells[2] = {c, cell(column - float(c) < 0.5f ? column - 1.0f : column + 1.0f, COLUMNS)};
         const std::int32_t row_cells[2] = {r, row - float(r) < 0.5f ? r - 1 : r + 1};
         for (int i = 0; i < 2; ++i) {
             for (int j = 0; j < rows; ++j) {
-                for (std::uint32_t at = first_[slot_of(column_cells[i], row_cells[j])]; at != NONE; at = next_[at]) {
-                    if (returns_.of_one_beam(k, at)) body(at);
+                std::uint32_t* at = &first_[slot_of(column_cells[i], row_cells[j])];
+                while (*at != NONE) {
+                    if (!kept_[*at]) {
+                        *at = next_[*at];
+                        continue;
+                    }
+                    if (returns_.of_one_beam(k, *at)) body(*at);
+                    at = &next_[*at];
                 }
             }
         }
@@ -151,6 +159,7 @@ private:
     }
 
     AimedReturns returns_;
+    const std::vector<char>& kept_;
     std::vector<std::uint32_t> first_;
     Buffer<std::uint32_t> next_;
 };
@@ -166,13 +175,11 @@ std::optional<Buffer<std::int32_t>> farthest_returns(View2<const float> points, 
     if (!has_several(returns)) return std::nullopt;
     // 2. Of each beam the farthest, in the order of the rows.
     returns.tolerance = USUAL;
-    ByDirection seen(returns, count);
     std::vector<char> kept(count, 1);
+    ByDirection seen(returns, kept);
     for (std::uint32_t k = 0; k < count; ++k) {
         if (!returns.counts(k)) continue;
-        seen.for_same_beam(k, [&](std::uint32_t other) {
-            if (kept[other]) kept[at.range_m[k] > at.range_m[other] ? other : k] = 0;
-        });
+        seen.for_same_beam(k, [&](std::uint32_t other) { kept[at.range_m[k] > at.range_m[other] ? other : k] = 0; });
         if (kept[k]) seen.add(k);
     }
     Buffer<std::int32_t> rows(std::size_t(std::count(kept.begin(), kept.end(), 1)));

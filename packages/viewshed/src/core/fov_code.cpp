@@ -285,7 +285,7 @@ private:
 
 }  // namespace
 
-std::vector<std::uint8_t> encode_view(const ViewCells& cells, SensorCell sensor) {
+std::vector<std::uint8_t> encode_view(const CodedCells& cells, SensorCell sensor) {
     const std::size_t count = cells.state.rows;
     Plane symbols(count), deviations(cells.deviation.rows);
     for (std::size_t i = 0; i < count; ++i) {

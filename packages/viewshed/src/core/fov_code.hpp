@@ -15,7 +15,7 @@ constexpr std::size_t MOST_CELLS = 512;
 constexpr int STATES = 4, LEVELS = 16, DEVIATIONS = 9;
 
 // The cells of a view, row i forward and column j left.
-struct ViewCells {
+struct CodedCells {
     View2<const std::uint8_t> state;      // CellState, 0…3
     View2<const std::uint8_t> level;      // of the probability, 0…15; from 8 on it reaches the threshold
     View2<const std::uint8_t> deviation;  // 0…7, 8 where there is none; (0, 0) where no cell has one
@@ -39,7 +39,7 @@ struct DecodedView {
 
 // The code of a view, which keeps each number. Cells are coded from the sensor outward, row by row, by their four coded
 // neighbors: mostly a cell is like the one toward the sensor. Empty where a view is too irregular: decoding is bounded.
-std::vector<std::uint8_t> encode_view(const ViewCells& cells, SensorCell sensor);
+std::vector<std::uint8_t> encode_view(const CodedCells& cells, SensorCell sensor);
 
 // Write the view that a code stands for; false where the bytes are no code of such a view.
 bool decode_view(View1<const std::uint8_t> code, SensorCell sensor, const LevelValues& values, const DecodedView& view);

@@ -395,8 +395,10 @@ bool Walk::agrees(std::ptrdiff_t i, std::ptrdiff_t j) const {
 
 // Whether the beam to a low point would pass below accepted ground on its way.
 bool Walk::is_buried(std::size_t at) const {
-    const float center = 0.5f * float(n_), u = lows_.x_m[at] / node_m_, v = lows_.y_m[at] / node_m_;
-    const float z = lows_.z_m[at];
+    // Within the lattice, whatever another thread made of the points meanwhile.
+    const float center = 0.5f * float(n_), z = lows_.z_m[at];
+    const float u = std::max(std::min(center, lows_.x_m[at] / node_m_), -center);
+    const float v = std::max(std::min(center, lows_.y_m[at] / node_m_), -center);
     const int steps = int(std::max(std::fabs(u), std::fabs(v)));
     for (int k = 1; k < steps; ++k) {
         const float share = 1.0f - float(k) / float(steps);

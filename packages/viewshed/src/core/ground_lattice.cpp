@@ -14,6 +14,9 @@ namespace {
 // From this range on the slope of the carrier's plane fades, over this distance: land is mostly level.
 constexpr float PLANE_M = 30.0f, TILT_M = 20.0f;
 
+// Of an odd number of nodes one lies at the sensor, at range 0.
+constexpr float LEAST_M = 1e-6f;
+
 // How many lattices are kept.
 constexpr std::size_t KEPT = 4;
 
@@ -32,7 +35,7 @@ Lattice make_lattice(std::size_t n, double half_m) {
             const float range_m = std::hypot(made.middle_m[i], made.middle_m[j]);
             const float beyond_m = std::max(range_m - PLANE_M, 0.0f);
             made.range_m[at] = range_m;
-            made.fade[at] = 1.0f - (beyond_m + TILT_M * std::expm1(-beyond_m / TILT_M)) / range_m;
+            made.fade[at] = 1.0f - (beyond_m + TILT_M * std::expm1(-beyond_m / TILT_M)) / std::max(range_m, LEAST_M);
             const float u = float(double(i) + 0.5 - center), v = float(double(j) + 0.5 - center);
             const float azimuth = (std::atan2(v, u) + PI) * float(SECTORS / (2 * std::numbers::pi));
             const float range = std::sqrt(u * u + v * v);

@@ -355,7 +355,7 @@ FreePlane free_plane(View2<const float> points) {
             }
         }
     }
-    best.support = most_on / double(all);
+    if (most_on > 0.0) best.support = most_on / double(all);
     return best;
 }
 

@@ -98,6 +98,18 @@ int count_confirmations(View2<const float> nearest_m2, int r, int c, float d2) {
     return count;
 }
 
+// The least number of confirmations that chance gives to at most one in a hundred returns, by the mean number of them.
+int least_confirmations(double mean) {
+    double term = 1.0, sum = 0.0;
+    int least = 1;
+    for (int number = 1; number <= WINDOW_PIXELS + 1; ++number) {
+        sum += term;  // P(N < number), less the factor exp(-mean)
+        term *= mean / number;
+        least += 1.0 - std::exp(-mean) * sum > CHANCE;
+    }
+    return std::max(least, LEAST_CONFIRMATIONS);
+}
+
 }  // namespace
 
 void find_isolated_returns(View1<const std::int16_t> ring, View1<const std::int32_t> column,
@@ -128,17 +140,6 @@ void find_isolated_returns(View1<const std::int16_t> ring, View1<const std::int3
     });
 }
 
-int least_confirmations(double mean) {
-    double term = 1.0, sum = 0.0;
-    int least = 1;
-    for (int number = 1; number <= WINDOW_PIXELS + 1; ++number) {
-        sum += term;  // P(N < number), less the factor exp(-mean)
-        term *= mean / number;
-        least += 1.0 - std::exp(-mean) * sum > CHANCE;
-    }
-    return std::max(least, LEAST_CONFIRMATIONS);
-}
-
 bool is_cluttered(View1<const bool> isolated) {
     const auto count = std::count(isolated.begin(), isolated.end(), true);
     return isolated.size >= FEWEST_RETURNS && double(count) > CLUTTERED_SHARE * double(isolated.size);
@@ -153,7 +154,7 @@ void find_clutter(View1<const std::int16_t> ring, View1<const std::int32_t> colu
     for (std::size_t n = 0; n < ring.size; ++n) {
         const float range_m = squared_m2[n] < 0.0f ? 0.0f : std::sqrt(squared_m2[n]);
         const float step = std::log(std::max(range_m, near_m) / near_m) * per_log;
-        bin[n] = std::uint8_t(std::min(step, float(RANGE_BINS - 1)));
+        bin[n] = std::uint8_t(step > 0.0f ? std::min(step, float(RANGE_BINS - 1)) : 0.0f);
         isolated_in[bin[n]] += isolated[n];
     }
     // 2. The mean number of random returns of similar range in a window of pixels, and what chance allows of it.

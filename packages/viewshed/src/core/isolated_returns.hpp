@@ -17,9 +17,6 @@ void find_isolated_returns(View1<const std::int16_t> ring, View1<const std::int3
 // Whether the share of isolated returns (N,) is so large that chance makes others similar.
 bool is_cluttered(View1<const bool> isolated);
 
-// The least number of confirmations that chance gives to at most one in a hundred returns, by the mean number of them.
-int least_confirmations(double mean);
-
 // Mark the returns (N,) of a cluttered sweep that too few pixels around confirm.
 //
 // Returns at random ranges confirm each other by chance, and the more so the more of them have similar ranges: their

@@ -56,13 +56,17 @@ double share_at_one_height(const std::vector<float>& heights_m) {
 }
 
 // The ground's normal in the sensor's frame where the sensor is clearly tilted; none where it is not.
-std::optional<Vector> tilted_normal(View2<const float> points, const GroundMap& ground) {
+std::optional<Vector> tilted_normal(View2<const float> points, float far_m, const GroundMap& ground) {
     Vector normal{-ground.plane[0], -ground.plane[1], 1.0};
     if (ground.support < TILT_SUPPORT) {
-        // Too few near nodes lie on that plane: look for a steeper one, up to 60°, through some of the returns.
-        const std::size_t step = std::max<std::size_t>(points.rows / TILT_SAMPLE, 1), count = (points.rows + step - 1) / step;
-        Buffer<float> some(3 * count);
-        for (std::size_t k = 0; k < count; ++k) std::copy_n(points[k * step], 3, &some[3 * k]);
+        // Too few near nodes lie on that plane: look for a steeper one, up to 60°, through some of the returns in range.
+        const std::size_t step = std::max<std::size_t>(points.rows / TILT_SAMPLE, 1);
+        std::vector<float> some;
+        for (std::size_t n = 0; n < points.rows; n += step) {
+            const float* p = points[n];
+            if (p[0] * p[0] + p[1] * p[1] + p[2] * p[2] <= far_m * far_m) some.insert(some.end(), p, p + 3);
+        }
+        const std::size_t count = some.size() / 3;
         const FreePlane steep = free_plane({some.data(), count, 3});
         if (steep.support < TILT_SUPPORT) {
             std::vector<float> heights_m(count);
@@ -138,7 +142,7 @@ SweepLevel level_sweep(const UnleveledSweep& sweep) {
     };
     GroundMap ground = find();
     if (!sweep.attitude) {
-        if (const auto normal = tilted_normal(sweep.points, ground)) {
+        if (const auto normal = tilted_normal(sweep.points, sweep.far_m, ground)) {
             rotation = upright(*normal);
             ground = find();
         }

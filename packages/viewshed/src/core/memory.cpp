@@ -54,6 +54,7 @@ struct Kept {
 }  // namespace
 
 void* take_memory(std::size_t bytes) {
+    if (bytes > SIZE_MAX - 2 * ALIGNMENT) throw std::bad_alloc();
     const std::size_t number = class_of_size(bytes);
     const std::size_t size = number < CLASSES ? size_of_class(number) : (bytes + ALIGNMENT - 1) / ALIGNMENT * ALIGNMENT;
 #ifndef VIEWSHED_SANITIZE
@@ -69,7 +70,6 @@ void* take_memory(std::size_t bytes) {
         }
     }
 #endif
-    if (size > SIZE_MAX - ALIGNMENT) throw std::bad_alloc();
     void* begin = std::aligned_alloc(ALIGNMENT, size + ALIGNMENT);
     if (begin == nullptr) throw std::bad_alloc();
     *static_cast<std::size_t*>(begin) = number;

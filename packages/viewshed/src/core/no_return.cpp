@@ -278,12 +278,6 @@ PolarGround polar_ground(const Ground& ground, float sensor_height_m, double top
     return polar;
 }
 
-Buffer<bool> silent_columns(View2<const std::uint8_t> counts) {
-    Buffer<bool> silent(counts.columns);
-    find_silent_columns(counts, silent);
-    return silent;
-}
-
 // The missing beams of a sweep and what the network is fed with.
 class NoReturnScene {
 public:

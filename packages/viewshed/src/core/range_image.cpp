@@ -182,10 +182,8 @@ RangeImage range_image(View2<const float> points, View1<const std::int16_t> ring
 
     // 3. The isolated returns: no pixel around has a similar range.
     const auto find_isolated = [&] {
-        Buffer<bool> silent(columns);
-        find_silent_columns({image.counts.data(), rings, columns}, silent);
-        find_isolated_returns(ring, image.column, squared_m2, {image.nearest_m2.data(), rings, columns}, silent,
-                              image.isolated, image.behind);
+        find_isolated_returns(ring, image.column, squared_m2, {image.nearest_m2.data(), rings, columns},
+                              silent_columns({image.counts.data(), rings, columns}), image.isolated, image.behind);
     };
     find_isolated();
 
@@ -204,7 +202,7 @@ RangeImage range_image(View2<const float> points, View1<const std::int16_t> ring
     return image;
 }
 
-void find_silent_columns(View2<const std::uint8_t> counts, View1<bool> silent) {
+Buffer<bool> silent_columns(View2<const std::uint8_t> counts) {
     std::vector<std::int32_t> rings(counts.columns, 0);
     for (std::size_t r = 0; r < counts.rows; ++r) {
         for (std::size_t c = 0; c < counts.columns; ++c) rings[c] += counts(r, c) > 0;
@@ -216,7 +214,9 @@ void find_silent_columns(View2<const std::uint8_t> counts, View1<bool> silent) {
         std::nth_element(some.begin(), some.begin() + std::ptrdiff_t(some.size() / 2), some.end());
         least = AWAKE_SHARE * some[some.size() / 2];
     }
+    Buffer<bool> silent(counts.columns);
     for (std::size_t c = 0; c < counts.columns; ++c) silent[c] = rings[c] == 0 || rings[c] < least;
+    return silent;
 }
 
 void take_out(View1<const std::int16_t> ring, View1<const bool> left_out, View1<std::int32_t> column,
@@ -225,7 +225,7 @@ void take_out(View1<const std::int16_t> ring, View1<const bool> left_out, View1<
     for (std::size_t n = 0; n < left_out.size; ++n) {
         if (!left_out[n] || column[n] < 0 || ring[n] < 0) continue;
         const std::size_t pixel = ring[n] * counts.columns + column[n];
-        counts.data[pixel] = std::uint8_t(counts.data[pixel] - (before[pixel] != FULL_COUNT));
+        counts.data[pixel] = std::uint8_t(counts.data[pixel] - (before[pixel] != FULL_COUNT && counts.data[pixel] > 0));
         column[n] = -1;
     }
 }

@@ -30,9 +30,9 @@ struct RangeImage {
 RangeImage range_image(View2<const float> points, View1<const std::int16_t> ring, std::size_t columns,
                        std::size_t rings, float near_m, float far_m);
 
-// Mark the columns that returned from less than half as many rings as the median of those that did. They were dropped, or
-// lie at the edge of a dropped sector, whatever a few points in them say.
-void find_silent_columns(View2<const std::uint8_t> counts, View1<bool> silent);
+// The columns (columns,) that returned from less than half as many rings as the median of those that did. They were dropped,
+// or lie at the edge of a dropped sector, whatever a few points in them say.
+Buffer<bool> silent_columns(View2<const std::uint8_t> counts);
 
 // Take returns out of their pixels, in place. Pixels that were full stay so: how many more returns they hold is not known.
 void take_out(View1<const std::int16_t> ring, View1<const bool> left_out, View1<std::int32_t> column,

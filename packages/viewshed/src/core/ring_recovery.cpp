@@ -160,7 +160,7 @@ Order order_rings(View2<const float> points, float start, float sense) {
             } else {
                 continue;
             }
-            if (wraps > std::int32_t(MOST_RINGS)) return {};
+            if (wraps >= std::int32_t(MOST_RINGS)) return {};
             runs.push_back({n, wraps});
         }
     }
@@ -215,15 +215,6 @@ MULTIVERSION std::size_t count_up_to(const std::int32_t* key, std::size_t count,
     std::int32_t below = 0;
     for (std::size_t k = 0; k < count; ++k) below += key[k] <= most;
     return std::size_t(below);
-}
-
-// The median, of an even number the mean of the two in the middle; NaN for none.
-double median_of(std::vector<double> values) {
-    if (values.empty()) return UNKNOWN;
-    const std::size_t half = values.size() / 2;
-    std::nth_element(values.begin(), values.begin() + std::ptrdiff_t(half), values.end());
-    if (values.size() % 2) return values[half];
-    return (*std::max_element(values.begin(), values.begin() + std::ptrdiff_t(half)) + values[half]) / 2;
 }
 
 // The median slopes (rings,) of ordered rings, by some of the returns of each.
@@ -446,6 +437,14 @@ std::pair<Rings, RingSource> find_rings(View2<const float> points, const Directi
 }
 
 }  // namespace
+
+double median_of(std::vector<double> values) {
+    if (values.empty()) return UNKNOWN;
+    const std::size_t half = values.size() / 2;
+    std::nth_element(values.begin(), values.begin() + std::ptrdiff_t(half), values.end());
+    if (values.size() % 2) return values[half];
+    return (*std::max_element(values.begin(), values.begin() + std::ptrdiff_t(half)) + values[half]) / 2;
+}
 
 double lower_median(const float* values, std::size_t count) {
     std::vector<std::int32_t> key(count);

@@ -25,6 +25,9 @@ std::optional<Rings> rings_by_order(View2<const float> points);
 // The lower median of some numbers; NaN are left out, NaN for none.
 double lower_median(const float* values, std::size_t count);
 
+// The median, of an even number the mean of the two in the middle; NaN for none.
+double median_of(std::vector<double> values);
+
 // The beam and the column of each return; viewshed.preprocess.ring_recovery.RingAssignment says what each is.
 struct RingAssignment {
     Buffer<std::int16_t> ring;

@@ -133,14 +133,6 @@ std::vector<double> ring_elevations(const ReturnsByRing& returns, const std::vec
     return medians;
 }
 
-// The median, of an even number the mean of the two in the middle.
-double median_of(std::vector<double> values) {
-    const std::size_t half = values.size() / 2;
-    std::nth_element(values.begin(), values.begin() + std::ptrdiff_t(half), values.end());
-    if (values.size() % 2) return values[half];
-    return (*std::max_element(values.begin(), values.begin() + std::ptrdiff_t(half)) + values[half]) / 2;
-}
-
 // Whether the rings are neither too few nor too many for a table.
 bool is_as_many(const ShownRings& rings, const BeamTable& table) {
     const double count = double(rings.count), beams = double(table.rings());
@@ -479,7 +471,7 @@ Identified identify(View2<const float> points, const BeamTables& tables, Expecte
     // 1. The order of the points.
     std::optional<OwnRings> ordered = rings_shown_by_order(points);
     if (ordered && expected.sensor != NO_SENSOR && is_surely(tables[expected.sensor], ordered->shown(), points)) {
-        return {expected.sensor, SURE, std::move(ordered), std::nullopt};
+        return {expected.sensor, SURE, std::move(ordered), std::nullopt, std::nullopt};
     }
     if (ordered && agrees(ordered)) return found;
     if (found.rings && expected.layout) {

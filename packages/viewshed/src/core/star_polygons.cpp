@@ -194,7 +194,9 @@ void find_free_ranges(View2<const bool> mask, const SquareGrid& grid, PlanePoint
     const auto is_true = [&](std::int64_t i, std::int64_t j) {
         return 0 <= i && i < cells && 0 <= j && j < cells && mask(std::size_t(i), std::size_t(j));
     };
-    std::fill(ranges.begin(), ranges.end(), FAR);
+    const double side_m = double(cells) * grid.cell_m, right = apex.x - grid.x_m, up = apex.y - grid.y_m;
+    const bool is_on_grid = right >= 0.0 && right <= side_m && up >= 0.0 && up <= side_m;
+    std::fill(ranges.begin(), ranges.end(), is_on_grid ? FAR : 0.0);
     for (std::int64_t i = -1; i <= cells; ++i) {
         for (std::int64_t j = -1; j <= cells; ++j) {
             if (is_true(i, j)) continue;

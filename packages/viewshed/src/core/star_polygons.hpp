@@ -9,7 +9,7 @@
 namespace viewshed {
 
 // Write how far each wedge (bins,) reaches from an apex, up to boxes of half a side about the centers of the false cells of
-// a mask and of the cells around the grid; 0 where the apex lies in one. Where the boxes are solid (no less than the
+// a mask and of the cells around the grid; 0 where the apex lies in one, or off the grid. Where the boxes are solid (no less than the
 // cells), those with no true cell beside them lie behind others and are left out.
 void find_free_ranges(View2<const bool> mask, const SquareGrid& grid, PlanePoint apex, double half_m, bool is_solid,
                       View1<double> ranges);

@@ -24,11 +24,13 @@ WALLS = np.array([[10.0, -6.0, 6.0], [-14.0, -10.0, 8.0], [4.0, 12.0, 12.0]])
 """x, and y from and to, of walls across the x axis."""
 
 
-def honest(agent: str, x_m: float, y_m: float, yaw: float = 0.0, rng: np.random.Generator | None = None) -> FovEstimate:
+def honest(
+    agent: str, x_m: float, y_m: float, yaw: float = 0.0, rng: np.random.Generator | None = None, grid: BevGrid = GRID
+) -> FovEstimate:
     """Return the view of three walls from a place: surfaces, free before them, hidden behind."""
     pose = Rigid(Rigid.from_yaw(yaw).rotation, np.array([x_m, y_m, 0.0]))
-    world = GRID.centers @ pose.rotation[:2, :2].T + pose.translation[:2]
-    state = np.full(GRID.shape, CellState.FREE, np.uint8)
+    world = grid.centers @ pose.rotation[:2, :2].T + pose.translation[:2]
+    state = np.full(grid.shape, CellState.FREE, np.uint8)
     away = world - pose.translation[:2]
     for wall_x, low, high in WALLS:
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -41,9 +43,9 @@ def honest(agent: str, x_m: float, y_m: float, yaw: float = 0.0, rng: np.random.
         state[on] = CellState.SURFACE
     prob = np.where(state == CellState.HIDDEN, 0.02, 0.97)
     if rng is not None:
-        prob = np.clip(prob + rng.normal(0, 0.02, GRID.shape), 0, 1)
+        prob = np.clip(prob + rng.normal(0, 0.02, grid.shape), 0, 1)
     basis = Basis(1.8, "estimated", 0.9, 0.0, 0.0, 60.0)
-    return FovEstimate(GRID, prob, state, world_from_level=pose, agent=agent, basis=basis, t_ns=0)
+    return FovEstimate(grid, prob, state, world_from_level=pose, agent=agent, basis=basis, t_ns=0)
 
 
 OTHERS = (honest("b", 2.0, 5.0, 0.3), honest("c", -6.0, -3.0, 2.0))
@@ -69,8 +71,10 @@ def number(compared: Comparisons, name: str) -> float:
     return float(compared.own[0, OF_ONE.index(name)])
 
 
-def test_honest_views_contradict_each_other_hardly() -> None:
-    compared = compare(OWN, OWN)
+@pytest.mark.parametrize("offset_m", [(0.0, 0.0), (24.0, -8.0), (0.0, 28.0)])
+def test_honest_views_contradict_each_other_hardly(offset_m: tuple[float, float]) -> None:
+    own = honest("a", 0.0, 0.0, 1.0, grid=BevGrid(128, 32.0, offset_m))
+    compared = compare(own, own)
     for name, most in (("through", 0.15), ("denied", 0.2), ("misplaced", 0.2), ("opened", 0.01), ("closed", 0.01)):
         assert number(compared, name) < most, name
     assert np.isnan(compared.pairs[[0, 1, 2], [0, 1, 2]]).all()

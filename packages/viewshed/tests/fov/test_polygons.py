@@ -227,6 +227,13 @@ def test_free_ranges_are_the_distance_to_what_is_not_true_in_each_wedge(
     assert (ranges <= narrow + 1e-9).all()
 
 
+@pytest.mark.parametrize("apex", [(16.1, 0.0), (-3.0, 40.0), (0.0, -1e6)])
+def test_from_off_the_grid_nothing_is_free(apex: tuple[float, float]) -> None:
+    grid = BevGrid(64, 16.0)
+    assert not free_ranges(np.ones(grid.shape, bool), grid, apex, 72).any()
+    assert not sectors_of_mask(np.ones(grid.shape, bool), grid, 4, apex_m=apex).range_m.any()
+
+
 @given(MASKS, st.sampled_from([8, 72, 360]))
 def test_a_star_ring_claims_no_cell_that_the_mask_does_not(mask: Mask, bins: int) -> None:
     grid = grid_of(mask)

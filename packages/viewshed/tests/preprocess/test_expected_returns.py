@@ -114,6 +114,12 @@ def test_other_boxes_are_refused(boxes: NDArray[np.float64], match: str) -> None
         expected_returns(level(sweep, GRID), boxes)
 
 
+def test_a_sensor_height_that_is_no_number_is_refused() -> None:
+    beams = _core.BeamsByAzimuth(*(np.zeros(3, np.float32),) * 3)
+    with pytest.raises(ValueError, match="sensor_height_m must be finite"):
+        beams.expected_returns(np.ones((1, 7), np.float32), np.nan, True)
+
+
 @pytest.mark.parametrize("azimuth", [*np.linspace(-np.pi, np.pi, 25), 1e-4, -1e-4, np.pi - 1e-4])
 def test_each_beam_between_the_edges_of_a_box_counts_wherever_the_box_stands(azimuth: float) -> None:
     # Ten beams for each of the 2048 columns by which beams are sorted, level, at the height of the middle of the box.

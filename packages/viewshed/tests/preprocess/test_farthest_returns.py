@@ -1,5 +1,7 @@
 """Sensors that report several returns of a beam: the farthest counts, and says what a sensor with one return says."""
 
+import time
+
 import numpy as np
 import pytest
 
@@ -75,3 +77,16 @@ def test_directions_and_rings_tell_what_is_of_one_beam() -> None:
     assert rows_of(np.array([(3.0, 0.0, 0.31), (30.0, 0.0, 3.0)], np.float32), [7, 7]) == [1]
     assert rows_of(np.array([(3.0, 0.0, 0.31), (30.0, 0.0, 3.0)], np.float32)) is None
     assert rows_of(np.zeros((0, 3), np.float32)) is None
+
+
+@pytest.mark.parametrize("beams", [8, 60_000])
+def test_many_returns_in_one_direction_cost_no_more_than_others(beams: int) -> None:
+    """All on eight rays, or all above each other: compared in pairs they would take a minute."""
+    of_beam, returns = np.arange(60_000) % beams, np.linspace(2.0, 100.0, 60_000)
+    azimuth = (of_beam % 8 * 128 + 32.5) / 1024 * 2 * np.pi - np.pi if beams == 8 else np.full(60_000, -2.94)
+    elevation, range_m = (np.zeros(60_000), returns) if beams == 8 else (of_beam / 2e4 - 1.5, np.full(60_000, 50.0))
+    flat_m = range_m * np.cos(elevation)
+    points = np.stack([flat_m * np.cos(azimuth), flat_m * np.sin(azimuth), range_m * np.sin(elevation)], axis=1)
+    begin = time.process_time()
+    assert rows_of(np.asarray(points, np.float32)) == (list(range(59_992, 60_000)) if beams == 8 else None)
+    assert time.process_time() - begin < 2.0

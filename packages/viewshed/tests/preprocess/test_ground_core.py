@@ -49,3 +49,21 @@ def test_points_that_are_no_place_are_no_ground(value: float) -> None:
     assert np.isfinite(heights).all()
     assert np.isfinite(std).all()
     assert np.isnan(_core.free_plane(points)[1]) or _core.free_plane(points)[1] <= 1.0
+
+
+def test_points_at_the_sensor_are_no_plane() -> None:
+    assert _core.free_plane(np.zeros((60, 3), np.float32))[1] == 0.0
+
+
+def test_an_odd_lattice_has_ground_below_the_sensor_as_well() -> None:
+    walked = np.full((9, 9), -1.8, np.float32)
+    assert np.allclose(call("fill_ground", walked_m=walked, accepted=walked < 0, half_m=4.5)[0], -1.8)
+
+
+@pytest.mark.parametrize("far_m", [120.0, 1e4, 1e20])
+def test_what_lies_out_of_range_does_not_hide_that_the_sensor_is_tilted(far_m: float) -> None:
+    points = np.column_stack([np.random.default_rng(0).uniform(-20, 20, (4000, 2)), np.full(4000, -1.8)])
+    points[:, 2] += 0.5 * points[:, 0]
+    points[:10] = far_m, 0.0, 0.0
+    rotation = call("level_sweep", points=points.astype(np.float32), ring=None)[1]
+    assert rotation[2] == pytest.approx(np.array([-0.5, 0.0, 1.0]) / np.hypot(0.5, 1.0), abs=1e-3)

@@ -45,10 +45,7 @@ void bind_agent_views(nb::module_& m) {
             const ViewCells<float> cells = cells_of(prob, x_m, y_m, cell_m);
             Buffer<double> out(boxes.shape(0));
             const Buffer<double> own = copy_of(view(boxes).flat());
-            without_lock([&] {
-                visible_before(cells, {own.data(), boxes.shape(0), 7}, out);
-                return 0;
-            });
+            without_lock([&] { visible_before(cells, {own.data(), boxes.shape(0), 7}, out); });
             return array(std::move(out));
         },
         "prob"_in, "x_m"_a, "y_m"_a, "cell_m"_a, "boxes"_in,
@@ -64,7 +61,6 @@ void bind_agent_views(nb::module_& m) {
             Buffer<double> out(boxes.shape(0) * BOX_CELLS);
             without_lock([&] {
                 look_at_boxes(cells, at, view(boxes), place_x_m, place_y_m, along, across, out.view(boxes.shape(0), BOX_CELLS));
-                return 0;
             });
             return array(std::move(out), {boxes.shape(0), BOX_CELLS});
         },
@@ -100,7 +96,6 @@ void bind_agent_views(nb::module_& m) {
             without_lock([&] {
                 count_met(view(surfaces), view(headings), view(x_m), view(y_m), cell_m, view(seen_by), own_bit,
                           {out.data(), turns, rows, columns});
-                return 0;
             });
             return array(std::move(out), {turns, rows, columns});
         },
@@ -126,7 +121,6 @@ void bind_agent_views(nb::module_& m) {
                 const WorldCells others{view(places_m), view(ground_m), owners, view(is_free)};
                 compare_view(cells, {view(heights_m), half_extent_m}, at, others, own, view(blockers), from_above,
                              {nearest_m, farthest_m, same_ground_m}, counts.view(4, std::size_t(agents)));
-                return 0;
             });
             return array(std::move(counts), {4, std::size_t(agents)});
         },

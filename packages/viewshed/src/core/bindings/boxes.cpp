@@ -20,6 +20,7 @@ void bind_boxes(nb::module_& m) {
             [](const BeamsByAzimuth& beams, In2<float> boxes, float sensor_height_m, bool leave_out_own) {
                 const std::size_t count = boxes.shape(0);
                 require(boxes.shape(1) == NUMBERS, "boxes must have shape (K, 7)");
+                require(std::isfinite(sensor_height_m), "sensor_height_m must be finite");
                 const Buffer<float> own = copy_of(view(boxes).flat());
                 for (std::size_t k = 0; k < own.size(); ++k) {
                     const float number = own[k];

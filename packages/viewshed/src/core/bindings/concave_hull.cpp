@@ -1,18 +1,12 @@
 #include "concave_hull.hpp"
 
 #include <cmath>
-#include <limits>
 
 #include "bindings.hpp"
+#include "files.hpp"
 
 namespace viewshed {
 namespace {
-
-void require_finite(View1<const float> values, const char* rule) {
-    bool is_finite = true;
-    for (const float value : values) is_finite &= std::fabs(value) <= std::numeric_limits<float>::max();
-    require(is_finite, rule);
-}
 
 SquareGrid checked_grid(double x_m, double y_m, double cell_m, std::size_t cells) {
     require(std::isfinite(x_m) && std::isfinite(y_m) && cell_m > 0.0 && std::isfinite(cell_m), "a grid must be finite");
@@ -25,7 +19,7 @@ std::vector<PlanePoint> thin_checked(const Points& points, const In1<float>& ran
     require(points.shape(0) == range_m.shape(0), "points and range_m must be as long");
     nb::gil_scoped_release unlocked;
     const Buffer<float> own = copy_of(View1<const float>{points.data(), points.size()});
-    require_finite(own, "points must be finite");
+    require(are_finite(own.data(), own.size()), "points must be finite");
     return thin_returns({own.data(), points.shape(0), 3}, view(range_m), grid);
 }
 
@@ -42,8 +36,7 @@ void bind_concave_hull(nb::module_& m) {
             const std::vector<PlanePoint> thinned = thin_checked(points, range_m, grid);
             Buffer<bool> inside(cells * cells);
             Buffer<float> visible(cells * cells);
-            {
-                nb::gil_scoped_release unlocked;
+            without_lock([&] {
                 std::vector<Edge> edges;
                 if (span_area(thinned)) {
                     const std::vector<PlanePoint> ring = concave_hull(thinned, concavity, length_m);
@@ -51,7 +44,7 @@ void bind_concave_hull(nb::module_& m) {
                 }
                 fill_rings(edges, grid, inside.view(cells, cells));
                 for (std::size_t k = 0; k < visible.size(); ++k) visible[k] = inside[k] ? 1.0f : 0.0f;
-            }
+            });
             return array(std::move(visible), {cells, cells});
         },
         "points"_in, "range_m"_in, "concavity"_a, "length_m"_a, "x_m"_a, "y_m"_a, "cell_m"_a,
@@ -76,8 +69,7 @@ void bind_concave_hull(nb::module_& m) {
             require(edges.shape(1) == 4, "edges must be (E, 4)");
             const SquareGrid grid = checked_grid(x_m, y_m, cell_m, cells);
             Buffer<bool> inside(cells * cells);
-            {
-                nb::gil_scoped_release unlocked;
+            without_lock([&] {
                 const auto given = view(edges);
                 std::vector<Edge> all;
                 all.reserve(given.rows);
@@ -85,7 +77,7 @@ void bind_concave_hull(nb::module_& m) {
                     all.push_back({{given(e, 0), given(e, 1)}, {given(e, 2), given(e, 3)}});
                 }
                 fill_rings(all, grid, inside.view(cells, cells));
-            }
+            });
             return array(std::move(inside), {cells, cells});
         },
         "edges"_in, "x_m"_a, "y_m"_a, "cell_m"_a, "cells"_a,

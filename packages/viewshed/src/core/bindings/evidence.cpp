@@ -85,7 +85,7 @@ void bind_evidence(nb::module_& m) {
         "probability_of_visible",
         [](In1<float> counts, In1<float> table) {
             Buffer<float> prob(counts.shape(0));
-            look_up(table_of(table), view(counts), prob);
+            without_lock([&] { look_up(table_of(table), view(counts), prob); });
             return array(std::move(prob));
         },
         "counts"_in, "table"_in, "Probability (N,) at mean counts (N,), from a poisson_table.");
@@ -193,8 +193,9 @@ void bind_evidence(nb::module_& m) {
             require(state.size() < (1u << 31), "cells must be fewer than 2^31");
             const Buffer<std::int32_t> nodes =
                 indices_of<std::int32_t>(view(node).flat(), 0, std::int32_t(std_m.size()) - 1, "node");
-            const Claims claims = count_claims(view(state).flat(), measured.data(), nodes.data(), view(std_m).flat(),
-                                               view(table));
+            const Claims claims = without_lock([&] {
+                return count_claims(view(state).flat(), measured.data(), nodes.data(), view(std_m).flat(), view(table));
+            });
             return tuple_of(claims.all, claims.over_unsure_ground, claims.inferred);
         },
         "state"_in, "measured"_in, "node"_in, "std_m"_in, nb::kw_only(),

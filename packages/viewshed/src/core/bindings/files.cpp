@@ -32,7 +32,7 @@ void bind_files(nb::module_& m) {
         "spread_of_rings",
         [](Points points, In1<std::int16_t> ring, float half_width) {
             require(ring.shape(0) == points.shape(0), "ring must have one row for each point");
-            const RingSpread spread = spread_of_rings(view(points), view(ring), half_width);
+            const RingSpread spread = without_lock([&] { return spread_of_rings(view(points), view(ring), half_width); });
             return tuple_of(spread.count, spread.elevation_std, spread.beside, spread.any_two);
         },
         "points"_in, "ring"_in, "half_width"_a,
@@ -49,7 +49,7 @@ void bind_files(nb::module_& m) {
         "plausible_rows",
         [](In1<float> rows, std::size_t columns) {
             require(columns == 4 || columns == 5, "columns must be 4 or 5");
-            return is_plausible(rows.data(), rows.shape(0) / columns, columns);
+            return without_lock([&] { return is_plausible(rows.data(), rows.shape(0) / columns, columns); });
         },
         "rows"_in, "columns"_a,
         "Whether rows (N · columns,) read as meters within 10 km, an intensity and, if five, a ring in 0…127.");
@@ -59,13 +59,15 @@ void bind_files(nb::module_& m) {
            In1<double> shift) {
             require(rotation.shape(0) == 3 && rotation.shape(1) == 3 && shift.shape(0) == 3,
                     "a transform must be a rotation (3, 3) and a shift (3,)");
-            move_points({points.data(), points.shape(0), 3}, rotation.data(), shift.data());
+            without_lock([&] { move_points({points.data(), points.shape(0), 3}, rotation.data(), shift.data()); });
         },
         "points"_in, "rotation"_in, "shift"_in,
         "Replace points (N, 3) by rotation @ point + shift, computed in float64.");
     m.def(
         "unpack_lzf",
-        [](In1<std::uint8_t> packed, InOut1<std::uint8_t> unpacked) { return unpack_lzf(view(packed), view(unpacked)); },
+        [](In1<std::uint8_t> packed, InOut1<std::uint8_t> unpacked) {
+            return without_lock([&] { return unpack_lzf(view(packed), view(unpacked)); });
+        },
         "packed"_in, "unpacked"_in,
         "Decode an LZF stream; the bytes written, or -1 where it is damaged.");
 }

@@ -34,18 +34,19 @@ Lows lows_of(const In3<float>& points, const In2<float>& rise_m, double half_m) 
     require(points.shape(1) == n && points.shape(2) == 3, "lows_m must be (n, n, 3)");
     require(rise_m.shape(0) == n && rise_m.shape(1) == n, "rise_m must be (n, n) as lows_m");
     require_lattice(n, half_m);
+    const Buffer<float> own = copy_of(View1<const float>{points.data(), points.size()});
     Lows lows(n);
     const double reach_m = half_m * (1.0 + 0.5 / double(n));  // rounding may lead out of the outermost nodes
     for (std::size_t at = 0; at < n * n; ++at) {
-        const float* p = points.data() + 3 * at;
-        lows.z_m[at] = std::isfinite(p[2]) ? p[2] : std::numeric_limits<float>::infinity();
+        const float x = own[3 * at], y = own[3 * at + 1], z = own[3 * at + 2];
+        lows.z_m[at] = std::isfinite(z) ? z : std::numeric_limits<float>::infinity();
         lows.rise_m[at] = rise_m.data()[at];
         lows.x_m[at] = lows.y_m[at] = 0.0f;
-        if (!std::isfinite(p[2])) continue;
-        require(std::fabs(double(p[0])) <= reach_m && std::fabs(double(p[1])) <= reach_m && std::fabs(p[2]) <= MOST_M,
+        if (!std::isfinite(z)) continue;
+        require(std::fabs(double(x)) <= reach_m && std::fabs(double(y)) <= reach_m && std::fabs(z) <= MOST_M,
                 "lows_m must lie on the lattice");
-        lows.x_m[at] = p[0];
-        lows.y_m[at] = p[1];
+        lows.x_m[at] = x;
+        lows.y_m[at] = y;
         lows.some.push_back(std::int32_t(at));
     }
     return lows;
@@ -59,14 +60,10 @@ void bind_ground(nb::module_& m) {
         "ground_of_lows",
         [](In3<float> lows_m, In2<float> rise_m, double half_m, double height_m) {
             const Lows lows = lows_of(lows_m, rise_m, half_m);
-            std::optional<FoundGround> found;
-            {
-                nb::gil_scoped_release unlocked;
-                found = estimate_ground(*lattice_of(lows.nodes, half_m), lows, height_m);
-            }
-            return as_tuple(*found, lows.nodes);
+            FoundGround found = without_lock([&] { return estimate_ground(*lattice_of(lows.nodes, half_m), lows, height_m); });
+            return as_tuple(found, lows.nodes);
         },
-        "lows_m"_a.noconvert(), "rise_m"_a.noconvert(), "half_m"_a, "height_m"_a,
+        "lows_m"_in, "rise_m"_in, "half_m"_a, "height_m"_a,
         "Heights, deviations, seen nodes (n, n), plane, support, and level (or NaN) of the ground, by low points (n, n, 3) "
         "and the rise (n, n) from each to the highest return of its node.");
     m.def(
@@ -81,28 +78,22 @@ void bind_ground(nb::module_& m) {
                 require(!accepted.data()[at] || std::fabs(walked_m.data()[at]) <= MOST_M, "walked_m must be finite");
             }
             Buffer<float> heights_m(n * n), std_m(n * n);
-            {
-                nb::gil_scoped_release unlocked;
-                fill_ground(*lattice_of(n, half_m), view(walked_m).flat(), view(accepted).flat(), carrier, heights_m,
-                            std_m);
-            }
+            without_lock([&] {
+                fill_ground(*lattice_of(n, half_m), view(walked_m).flat(), view(accepted).flat(), carrier, heights_m, std_m);
+            });
             return tuple_of(array(std::move(heights_m), {n, n}), array(std::move(std_m), {n, n}));
         },
-        "walked_m"_a.noconvert(), "accepted"_a.noconvert(), "plane"_a.noconvert(), "half_m"_a,
+        "walked_m"_in, "accepted"_in, "plane"_in, "half_m"_a,
         "Heights and standard deviations (n, n) of the ground between and beyond the accepted nodes (n, n).");
     m.def(
         "free_plane",
         [](Points points) {
-            FreePlane found;
-            {
-                nb::gil_scoped_release unlocked;
-                found = free_plane(view(points));
-            }
+            const FreePlane found = without_lock([&] { return free_plane(view(points)); });
             Buffer<float> normal(3);
             std::copy_n(found.normal.data(), 3, normal.data());
             return tuple_of(array(std::move(normal)), found.support);
         },
-        "points"_a.noconvert(),
+        "points"_in,
         "Unit normal (3,) of the ground below a sensor tilted by up to 60°, and the share of area of points (n, 3) on it.");
 }
 

@@ -74,12 +74,11 @@ void bind_guarantees(nb::module_& m) {
             require(!ring || ring->shape(0) == points.shape(0), "ring must be (N,) like points");
             Buffer<std::int16_t> rows(0);
             if (ring) rows = indices_of(view(*ring), std::int16_t(0), std::int16_t(rings - 1), "ring");
-            const auto found = [&] {
-                const nb::gil_scoped_release unlocked;
+            auto found = without_lock([&] {
                 return nearest_returns(view(points), rows, view(rotation).flat(), view(tangent), view(origin_m), columns, near_m,
                                        far_m);
-            };
-            return array(found(), {rings, 2 * columns});
+            });
+            return array(std::move(found), {rings, 2 * columns});
         },
         "points"_in, "ring"_in.none(), "rotation"_in, "tangent"_in, "origin_m"_in, "columns"_a, "near_m"_a, "far_m"_a,
         "Horizontal range (rings, 2 * columns) of the nearest return of each beam, the circle twice; +inf for none.");
@@ -87,10 +86,7 @@ void bind_guarantees(nb::module_& m) {
         "envelope_margins",
         [](const SentBeams& sent, In2<float> nearest, std::int32_t least) {
             const View2<const float> ranges = checked(sent, nearest);
-            auto [margin, claim] = [&] {
-                const nb::gil_scoped_release unlocked;
-                return envelope_margins(sent, ranges, least);
-            }();
+            auto [margin, claim] = without_lock([&] { return envelope_margins(sent, ranges, least); });
             const auto of_cells = [&](auto& found) { return array(std::move(found), {sent.of->rows, sent.of->grid_columns}); };
             return std::pair(of_cells(margin), of_cells(claim));
         },
@@ -103,11 +99,10 @@ void bind_guarantees(nb::module_& m) {
            std::int32_t most, bool opens) {
             const View2<const float> ranges = checked(sent, nearest);
             check_cells(sent, margins, counts);
-            const auto found = [&] {
-                const nb::gil_scoped_release unlocked;
+            auto found = without_lock([&] {
                 return cells_of_beams(sent, ranges, view(margins).flat(), view(counts).flat(), {least, opens}, most);
-            };
-            return array(found(), {sent.of->rings, sent.of->columns});
+            });
+            return array(std::move(found), {sent.of->rings, sent.of->columns});
         },
         "sent"_a, "nearest"_in, "margins"_in, "counts"_in, "least"_a, "most"_a, "opens"_a,
         "For each beam (rings, columns), the sum of 1 / beams needed over the cells that it helps to change.");
@@ -119,15 +114,13 @@ void bind_guarantees(nb::module_& m) {
             check_cells(sent, margins, counts);
             require(wide >= 1 && wide <= sent.of->columns / 2, "wide must lie in [1, columns / 2]");
             Buffer<bool> changes(margins.size());
-            std::int64_t most = 0;
-            {
-                const nb::gil_scoped_release unlocked;
+            const std::int64_t most = without_lock([&] {
                 // What may change while it is read must not bound a loop.
                 const Buffer<std::int32_t> margin = copy_of(view(margins).flat());
                 const Buffer<float> nearest_m = copy_of(ranges.flat());
-                most = wedge_changes(sent, {nearest_m.data(), ranges.rows, ranges.columns}, margin, view(counts).flat(),
+                return wedge_changes(sent, {nearest_m.data(), ranges.rows, ranges.columns}, margin, view(counts).flat(),
                                      {least, opens}, wide, changes);
-            }
+            });
             return std::pair(most, array(std::move(changes), {sent.of->rows, sent.of->grid_columns}));
         },
         "sent"_a, "nearest"_in, "margins"_in, "counts"_in, "least"_a, "wide"_a, "opens"_a,

@@ -13,7 +13,7 @@ void bind_height_map(nb::module_& m) {
             require(xy.shape(1) >= 2, "xy must have at least two columns");
             require(nodes >= 2 && nodes <= 16384, "a lattice must have 2 to 16384 nodes a side");
             require(std::isfinite(half_extent_m) && half_extent_m > 0, "half_extent_m must be positive and finite");
-            LatticePositions at = lattice_positions(view(xy), half_extent_m, nodes);
+            LatticePositions at = without_lock([&] { return lattice_positions(view(xy), half_extent_m, nodes); });
             return tuple_of(array(std::move(at.node)), array(std::move(at.down)), array(std::move(at.right)));
         },
         "xy"_in, "half_extent_m"_a, "nodes"_a,
@@ -28,7 +28,7 @@ void bind_height_map(nb::module_& m) {
             const Buffer<std::int32_t> before =
                 indices_of<std::int32_t>(view(node), 0, std::int32_t(nodes * nodes - nodes - 2), "node");
             Buffer<float> out(count);
-            interpolate(view(heights_m), before, view(down), view(right), out);
+            without_lock([&] { interpolate(view(heights_m), before, view(down), view(right), out); });
             return array(std::move(out));
         },
         "heights_m"_in, "node"_in, "down"_in, "right"_in,

@@ -38,20 +38,17 @@ void bind_held_ground(nb::module_& m) {
             const std::size_t n = heights_m.shape(0);
             Buffer<float> out_m(n * n), out_std_m(n * n);
             Buffer<bool> out_seen(n * n);
-            bool taken = false;
-            {
-                nb::gil_scoped_release unlocked;
-                taken = hold_ground({view(heights_m), view(std_m), view(seen), half_m},
-                                    {view(before_heights_m), view(before_std_m), view(before_seen), before_half_m},
-                                    poses, variance_m2, plane, height_m, out_m, out_std_m, out_seen);
-            }
+            const bool taken = without_lock([&] {
+                return hold_ground({view(heights_m), view(std_m), view(seen), half_m},
+                                   {view(before_heights_m), view(before_std_m), view(before_seen), before_half_m},
+                                   poses, variance_m2, plane, height_m, out_m, out_std_m, out_seen);
+            });
             if (!taken) return std::nullopt;
             return tuple_of(array(std::move(out_m), {n, n}), array(std::move(out_std_m), {n, n}),
                             array(std::move(out_seen), {n, n}));
         },
-        "heights_m"_a.noconvert(), "std_m"_a.noconvert(), "seen"_a.noconvert(), "half_m"_a,
-        "before_heights_m"_a.noconvert(), "before_std_m"_a.noconvert(), "before_seen"_a.noconvert(), "before_half_m"_a,
-        "before_from_now"_a.noconvert(), "now_from_before"_a.noconvert(), "variance_m2"_a, "plane"_a, "height_m"_a,
+        "heights_m"_in, "std_m"_in, "seen"_in, "half_m"_a, "before_heights_m"_in, "before_std_m"_in, "before_seen"_in,
+        "before_half_m"_a, "before_from_now"_in, "now_from_before"_in, "variance_m2"_a, "plane"_a, "height_m"_a,
         "Heights, deviations and seen nodes (n, n) of the present ground with what only an earlier sweep saw; None where "
         "nothing is taken.");
 }

@@ -25,14 +25,13 @@ void bind_history(nb::module_& m) {
                 require(transform.shape(0) == 3 && transform.shape(1) == 4, "transform must have shape (3, 4)");
             }
             Buffer<float> image(SLOPE_ROWS * AZIMUTHS);
-            {
-                nb::gil_scoped_release unlocked;
+            without_lock([&] {
                 std::vector<std::vector<Point>> sweeps;
                 for (const auto& [points, height_m, transform] : clouds) {
                     sweeps.push_back(obstacle_points(view(points), view(height_m), view(transform), least_m));
                 }
                 draw_image(sweeps, sensor_height_m, image.view(SLOPE_ROWS, AZIMUTHS));
-            }
+            });
             return array(std::move(image), {SLOPE_ROWS, AZIMUTHS});
         },
         "clouds"_in, "least_m"_a, "sensor_height_m"_a,
@@ -45,7 +44,7 @@ void bind_history(nb::module_& m) {
             require(image.shape(0) == SLOPE_ROWS && image.shape(1) == AZIMUTHS, "image must be one of obstacle_image");
             require(are_as_long(azimuth, slope, depth_m), "azimuth, slope and depth_m must be as long");
             Buffer<float> out(size);
-            end_at_obstacles(image.data(), azimuth.data(), slope.data(), depth_m.data(), size, out.data());
+            without_lock([&] { end_at_obstacles(image.data(), azimuth.data(), slope.data(), depth_m.data(), size, out.data()); });
             return array(std::move(out));
         },
         "image"_in, "azimuth"_in, "slope"_in, "depth_m"_in,
@@ -70,8 +69,9 @@ void bind_history(nb::module_& m) {
             require(cell_m > 0, "cell_m must be positive");
             Buffer<bool> confirmed(cells * cells);
             const float origin_m[2] = {float(origin_x_m), float(origin_y_m)};
-            confirm_cells(view(seen), view(earlier_from_now), origin_m, float(cell_m), open.data(), whole.data(),
-                          confirmed.data());
+            without_lock([&] {
+                confirm_cells(view(seen), view(earlier_from_now), origin_m, float(cell_m), open.data(), whole.data(), confirmed.data());
+            });
             return array(std::move(confirmed), {cells, cells});
         },
         "seen"_in, "earlier_from_now"_in, "origin_x_m"_a, "origin_y_m"_a, "cell_m"_a, "in_view"_in, "whole"_in,

@@ -15,8 +15,6 @@ namespace viewshed {
 void bind_level_sweep(nb::module_& m) {
     m.attr("LEVEL_TILT") = LEVEL_TILT;
     m.attr("LEAST_SUPPORT") = LEAST_SUPPORT;
-    m.attr("EGO_LENGTH_M") = EGO_LENGTH_M;
-    m.attr("EGO_WIDTH_M") = EGO_WIDTH_M;
     m.def(
         "farthest_returns",
         [](Points points, std::optional<In1<std::int16_t>> ring) {

@@ -41,14 +41,11 @@ void bind_leveling(nb::module_& m) {
             require(half_extent_m > 0.0f, "half_extent_m must be positive");
             require(std::isfinite(heading), "heading must be finite");
             require(points.shape(0) < std::numeric_limits<std::int32_t>::max(), "points must be fewer than 2^31");
-            std::optional<LevelPoints> made;
-            {
-                nb::gil_scoped_release unlocked;
-                const View1<const bool> mask = clutter ? view(*clutter) : View1<const bool>{nullptr, 0};
-                made = level_points(view(points), mask, {level_from_sensor.data(), 3, 4}, near_m, far_m, heading,
+            const View1<const bool> mask = clutter ? view(*clutter) : View1<const bool>{nullptr, 0};
+            return level_arrays(without_lock([&] {
+                return level_points(view(points), mask, {level_from_sensor.data(), 3, 4}, near_m, far_m, heading,
                                     {view(ground_m), half_extent_m});
-            }
-            return level_arrays(std::move(*made));
+            }));
         },
         "points"_in, "clutter"_in.none(), "level_from_sensor"_in, "near_m"_a, "far_m"_a, "heading"_a, "ground_m"_in,
         "half_extent_m"_a,

@@ -38,12 +38,6 @@ Pixels pixels_of(const In1<std::int16_t>& ring, const In1<std::int32_t>& column,
     return {view(ring), view(column), view(counts), left_out ? view(*left_out) : none, clutter ? view(*clutter) : none};
 }
 
-auto arrays_of(BeamColumns&& beams) {
-    const std::size_t count = beams.count;
-    return tuple_of(array(std::move(beams.azimuth), {count}), array(std::move(beams.slope), {count}),
-                    array(std::move(beams.depth_m), {count}));
-}
-
 Ground ground_of(const In2<float>& heights_m, float half_extent_m) {
     const std::size_t nodes = heights_m.shape(0);
     require(heights_m.shape(1) == nodes, "ground_m must be (n, n)");
@@ -88,22 +82,19 @@ void bind_no_return(nb::module_& m) {
             require(points.shape(0) == rows.shape(0), "points, range_m, height_m and rows must be as long");
             Buffer<float> slope(rows.shape(0));
             std::optional<NoReturnBeams> beams;
-            {
-                nb::gil_scoped_release unlocked;
+            without_lock([&] {
                 const DepthImages images = sweep.images();  // checks the rows, which beam_slopes trusts
                 beam_slopes(view(points), view(range_m), sweep.sensor_height_m, view(isolated), sweep.rows, slope);
                 beams = guess_no_return_beams(images, sweep.aims, sweep.ground, sweep.sensor_height_m, top_m,
                                               sweep.steep_m());
-            }
+            });
             const auto shaped = [&](auto& buffer) { return array(std::move(buffer), {beams->count}); };
             return tuple_of(array(std::move(slope)), shaped(beams->azimuth), shaped(beams->slope),
                             shaped(beams->early_m), shaped(beams->depth_m), shaped(beams->late_m));
         },
-        "ring"_a.noconvert(), "column"_a.noconvert(), "counts"_a.noconvert(), "isolated"_a.noconvert(),
-        "clutter"_a.noconvert().none(), "phase"_a.noconvert(), "elevation"_a.noconvert(), "origin_m"_a.noconvert(),
-        "rotation"_a.noconvert(), "points"_a.noconvert(), "range_m"_a.noconvert(), "height_m"_a.noconvert(),
-        "rows"_a.noconvert(), "sensor_height_m"_a, "ground_m"_a.noconvert(), "half_extent_m"_a, "top_m"_a,
-        "obstacle_m"_a,
+        "ring"_in, "column"_in, "counts"_in, "isolated"_in, "clutter"_in.none(), "phase"_in, "elevation"_in,
+        "origin_m"_in, "rotation"_in, "points"_in, "range_m"_in, "height_m"_in, "rows"_in, "sensor_height_m"_a,
+        "ground_m"_in, "half_extent_m"_a, "top_m"_a, "obstacle_m"_a,
         "Slope (M,) of measured beams; azimuth, slope, early, likely and late depth (B,) of beams without a return.");
     m.def(
         "no_return_groups",
@@ -116,21 +107,18 @@ void bind_no_return(nb::module_& m) {
                                     view(range_m), view(height_m), copy_of(view(rows)), obstacle_m,
                                     float(sensor_height_m), ground_of(ground_m, half_extent_m)};
             sweep.check();
-            std::optional<NoReturnGroups> groups;
-            {
-                nb::gil_scoped_release unlocked;
-                groups = describe_no_return_beams(sweep.images(), sweep.aims, sweep.ground, sweep.sensor_height_m, top_m,
-                                                  sweep.steep_m());
-            }
-            const std::size_t size = groups->azimuth.size();
-            return tuple_of(array(std::move(groups->azimuth)), array(std::move(groups->slope)),
-                            array(std::move(groups->beams)), array(std::move(groups->feature), {size, FEATURES}),
-                            array(std::move(groups->stop), {size, std::size_t(STOPS)}));
+            NoReturnGroups groups = without_lock([&] {
+                return describe_no_return_beams(sweep.images(), sweep.aims, sweep.ground, sweep.sensor_height_m, top_m,
+                                                sweep.steep_m());
+            });
+            const std::size_t size = groups.azimuth.size();
+            return tuple_of(array(std::move(groups.azimuth)), array(std::move(groups.slope)),
+                            array(std::move(groups.beams)), array(std::move(groups.feature), {size, FEATURES}),
+                            array(std::move(groups.stop), {size, std::size_t(STOPS)}));
         },
-        "ring"_a.noconvert(), "column"_a.noconvert(), "counts"_a.noconvert(), "isolated"_a.noconvert(),
-        "clutter"_a.noconvert().none(), "phase"_a.noconvert(), "elevation"_a.noconvert(), "origin_m"_a.noconvert(),
-        "rotation"_a.noconvert(), "range_m"_a.noconvert(), "height_m"_a.noconvert(), "rows"_a.noconvert(),
-        "sensor_height_m"_a, "ground_m"_a.noconvert(), "half_extent_m"_a, "top_m"_a, "obstacle_m"_a,
+        "ring"_in, "column"_in, "counts"_in, "isolated"_in, "clutter"_in.none(), "phase"_in, "elevation"_in,
+        "origin_m"_in, "rotation"_in, "range_m"_in, "height_m"_in, "rows"_in, "sensor_height_m"_a, "ground_m"_in,
+        "half_extent_m"_a, "top_m"_a, "obstacle_m"_a,
         "Azimuth, slope, beams that may meet a target (G,), features (G, F) and logarithms of the ranges of stops (G, S) of "
         "groups of beams without a return.");
     m.def(
@@ -142,18 +130,15 @@ void bind_no_return(nb::module_& m) {
             const RingAims aims{view(phase), view(elevation), view(origin_m), rotation.data()};
             require_aims(aims, counts.shape(0));
             require(are_as_long(range_m, height_m, rows), "range_m, height_m and rows must be as long");
-            std::optional<BeamColumns> beams;
-            {
-                nb::gil_scoped_release unlocked;
-                // Neither obstacles nor shares of ground are needed.
-                const Returns returns{view(range_m), view(height_m), view(rows)};
-                beams = no_return_beams(depth_images(pixels, returns, INFINITY, INFINITY), aims, fill);
-            }
-            return arrays_of(std::move(*beams));
+            // Neither obstacles nor shares of ground are needed.
+            const Returns returns{view(range_m), view(height_m), view(rows)};
+            BeamColumns beams = without_lock(
+                [&] { return no_return_beams(depth_images(pixels, returns, INFINITY, INFINITY), aims, fill); });
+            const auto shaped = [&](auto& buffer) { return array(std::move(buffer), {beams.count}); };
+            return tuple_of(shaped(beams.azimuth), shaped(beams.slope), shaped(beams.depth_m));
         },
-        "ring"_a.noconvert(), "column"_a.noconvert(), "counts"_a.noconvert(), "clutter"_a.noconvert().none(),
-        "phase"_a.noconvert(), "elevation"_a.noconvert(), "origin_m"_a.noconvert(), "rotation"_a.noconvert(),
-        "range_m"_a.noconvert(), "height_m"_a.noconvert(), "rows"_a.noconvert(), "fill"_a,
+        "ring"_in, "column"_in, "counts"_in, "clutter"_in.none(), "phase"_in, "elevation"_in, "origin_m"_in,
+        "rotation"_in, "range_m"_in, "height_m"_in, "rows"_in, "fill"_a,
         "Azimuth, slope and depth of the beams without a return.");
 }
 

@@ -40,7 +40,7 @@ Out<bool> cells_of(const In2<double>& points, const In1<std::int64_t>& begin, st
     return array(std::move(marked), {cells, cells});
 }
 
-// Positive finite ranges of a number of wedges.
+// Finite ranges of a number of wedges, none negative.
 Buffer<double> checked_ranges(const In1<double>& ranges) {
     Buffer<double> values = copy_of(view(ranges));
     require(values.size() >= 3 && values.size() <= MOST_BINS, "there must be 3 to 7200 ranges");
@@ -106,8 +106,7 @@ void bind_polygons(nb::module_& m) {
             const Buffer<double> checked = checked_ranges(ranges);
             require(sectors >= 1 && sectors <= MOST_SECTORS, "sectors must lie in [1, 256]");
             require(inner >= 0.0 && std::isfinite(inner), "inner must be finite, and not negative");
-            BestSectors found;
-            without_lock([&] { found = best_sectors(checked, sectors, inner); });
+            const BestSectors found = without_lock([&] { return best_sectors(checked, sectors, inner); });
             return tuple_of(array_of(found.first), array_of(found.end), array_of(found.range));
         },
         "ranges"_in, "sectors"_a, "inner"_a,

@@ -1,6 +1,5 @@
 #include "range_image.hpp"
 
-#include "isolated_returns.hpp"
 #include "stages.hpp"
 
 namespace viewshed {
@@ -29,15 +28,8 @@ void bind_range_image(nb::module_& m) {
         "whether rings are as full as columns are many.");
     m.def(
         "silent_columns",
-        [](In2<std::uint8_t> counts) {
-            Buffer<bool> silent(counts.shape(1));
-            find_silent_columns(view(counts), silent);
-            return array(std::move(silent));
-        },
-        "counts"_in,
-        "Columns (columns,) of counts (rings, columns) that hardly fired.");
-    m.def("least_confirmations", &least_confirmations, "mean"_a,
-          "Least number that a Poisson variable of a mean reaches with a chance of at most 1 %.");
+        [](In2<std::uint8_t> counts) { return array(without_lock([&] { return silent_columns(view(counts)); })); },
+        "counts"_in, "Columns (columns,) of counts (rings, columns) that hardly fired.");
     m.def(
         "pixels_without",
         [](In1<std::int16_t> ring, In1<bool> left_out, In1<std::int32_t> column, In2<std::uint8_t> counts) {
@@ -47,7 +39,7 @@ void bind_range_image(nb::module_& m) {
             const Buffer<std::int16_t> own = indices_of<std::int16_t>(view(ring), -1, std::int16_t(rings - 1), "ring");
             auto kept = indices_of<std::int32_t>(view(column), -1, std::int32_t(columns - 1), "column");
             Buffer<std::uint8_t> fewer = copy_of(view(counts).flat());
-            take_out(own, view(left_out), kept, fewer.view(rings, columns));
+            without_lock([&] { take_out(own, view(left_out), kept, fewer.view(rings, columns)); });
             return tuple_of(array(std::move(kept)), array(std::move(fewer), {rings, columns}));
         },
         "ring"_in, "left_out"_in, "column"_in, "counts"_in,

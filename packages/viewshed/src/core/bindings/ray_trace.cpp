@@ -96,11 +96,8 @@ void bind_ray_trace(nb::module_& m) {
             require(whole >= 1 && 2 * (whole + END_SLICES) <= slices, "slices must be finer than the window, and more");
             const auto slice = indices_of<std::int16_t>(view(cell_slice).flat(), 0, std::int16_t(slices - 1), "cell_slice");
             Buffer<float> visible(rows * columns);
-            {
-                nb::gil_scoped_release unlocked;
-                const PolarCells cells{view(cell_range_m).flat(), view(cell_azimuth).flat(), slice};
-                trace_windows(view(azimuth), view(range_m), slices, window, margin_m, cells, visible);
-            }
+            const PolarCells cells{view(cell_range_m).flat(), view(cell_azimuth).flat(), slice};
+            without_lock([&] { trace_windows(view(azimuth), view(range_m), slices, window, margin_m, cells, visible); });
             return array(std::move(visible), {rows, columns});
         },
         "azimuth"_in, "range_m"_in, "slices"_a, "window"_a, "margin_m"_a, "cell_range_m"_in, "cell_azimuth"_in,

@@ -86,10 +86,9 @@ void bind_sensor_id(nb::module_& m) {
             require(expected >= NO_SENSOR && expected < int(inferable_sensors().size()),
                     "expected must be the number of a sensor, or -1");
             const auto known = checked_rings(ring, checked_count(points));
-            SensorId found;
-            without_lock([&] {
-                found = identify_sensor(OwnPoints(points), known, table ? &*table : nullptr, is_inferred,
-                                        {expected, held ? &*held : nullptr});
+            SensorId found = without_lock([&] {
+                return identify_sensor(OwnPoints(points), known, table ? &*table : nullptr, is_inferred,
+                                       {expected, held ? &*held : nullptr});
             });
             std::optional<Tuple<Out<double>, Out<double>>> layout;
             if (found.layout) layout = tuple_of(array_of(found.layout->elevation), array_of(found.layout->origin_m));
@@ -106,8 +105,7 @@ void bind_sensor_id(nb::module_& m) {
         "infer_sensor",
         [](Points points, std::optional<RingColumn> ring) {
             const auto known = checked_rings(ring, checked_count(points));
-            std::pair<int, double> found;
-            without_lock([&] { found = infer_sensor(OwnPoints(points), known); });
+            const auto found = without_lock([&] { return infer_sensor(OwnPoints(points), known); });
             return tuple_of(found.first, found.second);
         },
         "points"_in, "ring"_in.none(), "The number of the sensor that explains points (N, 3) best, -1 for none, and its score.");
@@ -128,7 +126,7 @@ void bind_sensor_id(nb::module_& m) {
     m.def(
         "polar",
         [](Points points) {
-            Directions seen = directions_of(OwnPoints(points));
+            Directions seen = without_lock([&] { return directions_of(OwnPoints(points)); });
             return tuple_of(array(std::move(seen.azimuth)), array(std::move(seen.slope)),
                             array(std::move(seen.range_m)));
         },
@@ -138,7 +136,7 @@ void bind_sensor_id(nb::module_& m) {
         [](In1<float> slope, In1<float> range_m, In1<double> elevation, In1<double> origin_m) {
             const BeamTable table = checked_table(view(elevation), view(origin_m), 1);
             require(slope.shape(0) == range_m.shape(0), "slope and range_m must be as long");
-            BeamMatch match = match_beams(view(slope), view(range_m), table);
+            BeamMatch match = without_lock([&] { return match_beams(view(slope), view(range_m), table); });
             return tuple_of(array(std::move(match.ring)), array_of(match.hits), match.excess);
         },
         "slope"_in, "range_m"_in, "elevation"_in, "origin_m"_in,
@@ -146,7 +144,8 @@ void bind_sensor_id(nb::module_& m) {
     m.def(
         "find_clusters",
         [](In1<float> azimuth, In1<float> slope, In1<float> range_m) -> std::optional<Tuple<Out<double>, Out<double>, double>> {
-            const auto found = find_clusters(directions_from(azimuth, slope, range_m));
+            const Directions seen = directions_from(azimuth, slope, range_m);
+            const auto found = without_lock([&] { return find_clusters(seen); });
             if (!found) return std::nullopt;
             return tuple_of(array_of(found->elevation), array_of(found->origin_m), found->sharpness);
         },

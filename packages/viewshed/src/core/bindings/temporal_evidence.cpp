@@ -90,10 +90,8 @@ void bind_temporal_evidence(nb::module_& m) {
                 new (self) SweepView(view(squared_m2), own_phase, own_elevation, own_origin_m, view(points), view(height_m),
                                      view(range_m), view(azimuth), view(isolated), transform);
             },
-            "squared_m2"_a.noconvert(), "phase"_a.noconvert(), "elevation"_a.noconvert(), "origin_m"_a.noconvert(),
-            "points"_a.noconvert(),
-            "height_m"_a.noconvert(), "range_m"_a.noconvert(), "azimuth"_a.noconvert(), "isolated"_a.noconvert(),
-            "sensor_from_level"_a.noconvert())
+            "squared_m2"_in, "phase"_in, "elevation"_in, "origin_m"_in, "points"_in, "height_m"_in, "range_m"_in,
+            "azimuth"_in, "isolated"_in, "sensor_from_level"_in)
         .def_prop_ro("rings", &SweepView::rings)
         .def_prop_ro("columns", &SweepView::columns)
         .def_prop_ro("obstacles", [](const SweepView& self) { return self.obstacles().size(); })
@@ -105,14 +103,10 @@ void bind_temporal_evidence(nb::module_& m) {
                 const std::vector<Other> others = others_of(views, transforms, gaps_s);
                 const Transform placed = transform_of(around_from_self);
                 Buffer<float> speed_mps(sectors);
-                {
-                    nb::gil_scoped_release unlocked;
-                    follow_all(self, others, around, placed, speed_mps);
-                }
+                without_lock([&] { follow_all(self, others, around, placed, speed_mps); });
                 return array(std::move(speed_mps));
             },
-            "views"_a, "transforms"_a.noconvert(), "gaps_s"_a.noconvert(), "around"_a, "around_from_self"_a.noconvert(),
-            "sectors"_a,
+            "views"_a, "transforms"_in, "gaps_s"_in, "around"_a, "around_from_self"_in, "sectors"_a,
             "Speed m/s that obstacles need to be found as these views found them (sectors,), by azimuth about the sweep "
             "`around`.")
         .def(
@@ -123,14 +117,11 @@ void bind_temporal_evidence(nb::module_& m) {
                 require(views.size() == 2, "two views are needed");
                 const std::vector<Other> others = others_of(views, transforms, gaps_s);
                 Buffer<float> jump_m(sectors);
-                {
-                    nb::gil_scoped_release unlocked;
-                    const float ratio = (others[0].gap_s + others[1].gap_s) / others[0].gap_s;
-                    jumps(self, others[0], others[1], ratio, jump_m);
-                }
+                const float ratio = (others[0].gap_s + others[1].gap_s) / others[0].gap_s;
+                without_lock([&] { jumps(self, others[0], others[1], ratio, jump_m); });
                 return array(std::move(jump_m));
             },
-            "views"_a, "transforms"_a.noconvert(), "gaps_s"_a.noconvert(), "sectors"_a,
+            "views"_a, "transforms"_in, "gaps_s"_in, "sectors"_a,
             "How far surfaces jump (sectors,) m against constant speeds, over the two views before.")
         .def(
             "repeats",
@@ -141,14 +132,13 @@ void bind_temporal_evidence(nb::module_& m) {
                             "views must have the same rings and columns");
                 }
                 Buffer<float> share(views.size() * sectors);
-                {
-                    nb::gil_scoped_release unlocked;
+                without_lock([&] {
                     for_ranges(views.size(), views.size(), [&](std::size_t, std::size_t begin, std::size_t end) {
                         for (std::size_t k = begin; k < end; ++k) {
                             find_repeats(self, *views[k], {share.data() + k * sectors, sectors});
                         }
                     });
-                }
+                });
                 return array(std::move(share), {views.size(), sectors});
             },
             "views"_a, "sectors"_a,
@@ -168,10 +158,7 @@ void bind_temporal_evidence(nb::module_& m) {
                     columns.push_back(turned[k] * float(self.columns()) / (2 * PI));
                 }
                 Buffer<float> nearer(sectors), farther(sectors), silent(sectors);
-                {
-                    nb::gil_scoped_release unlocked;
-                    find_new_ranges(self, views, columns, nearer, farther, silent);
-                }
+                without_lock([&] { find_new_ranges(self, views, columns, nearer, farther, silent); });
                 return tuple_of(array(std::move(nearer)), array(std::move(farther)), array(std::move(silent)));
             },
             "views"_a, "turned"_a, "sectors"_a,
@@ -182,12 +169,11 @@ void bind_temporal_evidence(nb::module_& m) {
             [](const SweepView& self, const std::vector<const SweepView*>& views, In3<float> transforms) {
                 const std::vector<Transform> to_each = transforms_of(views, transforms);
                 std::vector<Registration> found(views.size());
-                {
-                    nb::gil_scoped_release unlocked;
+                without_lock([&] {
                     for_ranges(views.size(), views.size(), [&](std::size_t, std::size_t begin, std::size_t end) {
                         for (std::size_t k = begin; k < end; ++k) found[k] = register_on(self, *views[k], to_each[k]);
                     });
-                }
+                });
                 Buffer<double> step(3 * views.size()), information(9 * views.size()), sigma_m(views.size());
                 Buffer<std::int64_t> matches(views.size());
                 for (std::size_t k = 0; k < views.size(); ++k) {
@@ -202,7 +188,7 @@ void bind_temporal_evidence(nb::module_& m) {
                                 array(std::move(information), {views.size(), 3, 3}), array(std::move(sigma_m)),
                                 array(std::move(matches)));
             },
-            "views"_a, "transforms"_a.noconvert(),
+            "views"_a, "transforms"_in,
             "Turn and shift (K, 3) that lay the obstacles on the surfaces of each of other views, the information about "
             "them (K, 3, 3), the deviation of a return in meters (K,), and how many were used (K,).");
 
@@ -216,8 +202,7 @@ void bind_temporal_evidence(nb::module_& m) {
             const auto bytes = [cells](const In2<bool>& mask) {
                 return View2<const std::uint8_t>{reinterpret_cast<const std::uint8_t*>(mask.data()), cells, cells};
             };
-            Shift shift{};
-            without_lock([&] { shift = best_shift(bytes(now), bytes(before), most); });
+            const Shift shift = without_lock([&] { return best_shift(bytes(now), bytes(before), most); });
             return tuple_of(shift.down, shift.across, int(shift.cells), int(shift.elsewhere));
         },
         "now"_in, "before"_in, "most"_a,
@@ -227,9 +212,7 @@ void bind_temporal_evidence(nb::module_& m) {
     m.def(
         "range_noise",
         [](Points points, float step_share, float step_m, std::size_t least) {
-            float noise_m = 0.0f;
-            without_lock([&] { noise_m = range_noise(view(points), step_share, step_m, least); });
-            return noise_m;
+            return without_lock([&] { return range_noise(view(points), step_share, step_m, least); });
         },
         "points"_in, "step_share"_a, "step_m"_a, "least"_a,
         "Lower quartile m of second differences of range between returns that follow each other on one surface; NaN where "
@@ -248,15 +231,12 @@ void bind_temporal_evidence(nb::module_& m) {
                 require(std::isfinite(t_s), "t_s must be finite");
                 const Transform placed = bounded(transform_of(now_from_memory));
                 const std::vector<Other> earlier = others_of(views, transforms, gaps_s);
+                // With the interpreter's lock: another thread may add a sweep to the memory.
                 Buffer<float> gone_m(sectors), new_m2(sectors);
-                {
-                    nb::gil_scoped_release unlocked;
-                    self.check(now, placed, t_s, earlier, gone_m, new_m2);
-                }
+                self.check(now, placed, t_s, earlier, gone_m, new_m2);
                 return tuple_of(array(std::move(gone_m)), array(std::move(new_m2)));
             },
-            "now"_a, "now_from_memory"_a.noconvert(), "t_s"_a, "views"_a, "transforms"_a.noconvert(),
-            "gaps_s"_a.noconvert(), "sectors"_a,
+            "now"_a, "now_from_memory"_in, "t_s"_a, "views"_a, "transforms"_in, "gaps_s"_in, "sectors"_a,
             "Meters of standing surfaces that the sweep looks through, area m2 of obstacles that are new and came fast "
             "(sectors,), by azimuth about the sweep.")
         .def(
@@ -265,7 +245,7 @@ void bind_temporal_evidence(nb::module_& m) {
                 require(std::isfinite(t_s), "t_s must be finite");
                 self.add(now, bounded(transform_of(memory_from_now)), bounded(transform_of(now_from_memory)), t_s);
             },
-            "now"_a, "memory_from_now"_a.noconvert(), "now_from_memory"_a.noconvert(), "t_s"_a,
+            "now"_a, "memory_from_now"_in, "now_from_memory"_in, "t_s"_a,
             "Remember the obstacles of a sweep; forget what was not seen for ten seconds.");
 }
 

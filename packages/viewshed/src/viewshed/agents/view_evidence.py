@@ -149,14 +149,15 @@ def _lattice(grid: BevGrid) -> F64:
     steps = np.arange(-FARTHEST_M, FARTHEST_M, 1.0) + 0.3  # off the edges of cells
     xy = np.stack(np.meshgrid(steps, steps, indexing="ij"), axis=-1).reshape(-1, 2)
     range_m = np.hypot(xy[:, 0], xy[:, 1])
-    lattice: F64 = xy[(range_m > NEAREST_M) & (range_m < min(FARTHEST_M, grid.half_extent_m))]
+    near = (range_m > NEAREST_M) & (range_m < min(FARTHEST_M, grid.half_extent_m))
+    lattice: F64 = xy[near & grid.index(xy)[1]]
     return lattice
 
 
 @lru_cache(maxsize=4)
 def _lattice_numbers(grid: BevGrid) -> NDArray[np.intp]:
-    """Return the flat numbers (P,) of the cells of the lattice, the nearest ones beyond the edge."""
-    cells = np.clip((_lattice(grid) - grid.origin_m) / grid.cell_m, 0, grid.cells - 1).astype(np.intp)
+    """Return the flat numbers (P,) of the cells of the lattice."""
+    cells, _ = grid.index(_lattice(grid))
     return np.ravel_multi_index((cells[:, 0], cells[:, 1]), grid.shape)
 
 

@@ -162,8 +162,6 @@ def free_ranges(
     if bins % 4 or bins <= 0:
         raise ValueError(f"bins must be a positive multiple of 4, got {bins}")
     mask = checked_mask(mask, grid)
-    if (np.abs(np.subtract(apex_m, grid.offset_m)) > grid.half_extent_m).any():  # no cell ends its wedges
-        return np.zeros(bins)
     lattice = (*grid.origin_m, grid.cell_m, *apex_m)
     if whole_cells:
         return _core.free_ranges(mask, *lattice, 0.5 * grid.cell_m + margin_m, bins, True)
