@@ -80,6 +80,11 @@ def test_a_late_packet_is_left_out_and_one_of_another_sensor_refused(tmp_path: P
     ended = revolutions.add(packet(0, 3), 4)
     assert ended is not None
     assert len(ended.packets) == 1
+    # What was gathered before a gap, or for ever of one number, is no view of now.
+    assert revolutions.add(packet(0, 3), 2 * 10**9) is revolutions.add(packet(16, 3), 4 * 10**9) is None
+    ended = revolutions.add(packet(0, 4), 4 * 10**9 + 1)
+    assert ended is not None
+    assert (len(ended.packets), ended.t_ns) == (1, 4 * 10**9)
 
 
 def test_metadata_that_are_none_name_their_file(tmp_path: Path) -> None:

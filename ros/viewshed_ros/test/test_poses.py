@@ -38,7 +38,7 @@ def buffer(*times_ns: int) -> PoseBuffer:
 
 def test_between_two_poses_the_pose_is_interpolated_and_the_mounting_added() -> None:
     mounting = Rigid(np.eye(3), np.array([0.0, 1.0, 2.0]))
-    found = buffer(0, 400_000_000).world_from_sensor("lidar", 100_000_000, mounting)
+    found = buffer(0, 400_000_000, 400_000_000).world_from_sensor("lidar", 100_000_000, mounting)
     np.testing.assert_allclose(
         found.as_matrix(), (Rigid.from_yaw(0.1, (0.1, 0.0, 0.0)) @ mounting).as_matrix(), atol=1e-9
     )

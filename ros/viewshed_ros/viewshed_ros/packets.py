@@ -14,6 +14,10 @@ from viewshed.io.ouster_packets import OusterDecoder, OusterMetadata
 from viewshed.sweep import Sweep
 
 
+_LONGEST_NS = 1_000_000_000
+"""Of a revolution; what was gathered before a longer gap is no view of now, and one number for ever fills no memory."""
+
+
 @dataclass(frozen=True, slots=True)
 class Packet:
     """One packet of an Ouster sensor, as ``PacketMsg`` holds it."""
@@ -56,6 +60,8 @@ class Revolutions:
             t_ns: when it came.
         """
         packet = Packet(np.frombuffer(bytes(data), np.uint8))
+        if not 0 <= t_ns - self._begin_ns <= _LONGEST_NS:
+            self._packets, self._number, self._before = [], None, None
         number = self.decoder.frame_number(packet.buf.tobytes())
         if number is None:
             size = self.decoder.packet_bytes
