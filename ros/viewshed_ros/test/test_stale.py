@@ -164,7 +164,7 @@ def test_nav2_stops_when_the_sensor_or_the_poses_stop_and_when_the_node_does(sta
 def test_the_watchdog_stops_in_place_of_a_node_that_was_killed_and_withdraws_when_it_lives_again(
     stack: ExitStack,
 ) -> None:
-    stack.enter_context(running({"sensors": "[front]", "speed_unseen_mps": "2.0"}, "watchdog"))
+    stack.enter_context(running({"sensors": "[front]", "speed_unseen_mps": "2", "stale_s": ".nan"}, "watchdog"))
     robot = Robot()
     vehicle = Vehicle(robot)
     # 1. Before the node lives at all.

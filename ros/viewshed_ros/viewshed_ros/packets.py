@@ -13,7 +13,6 @@ from viewshed.io.messages.packets import sweep_of_ouster
 from viewshed.io.ouster_packets import OusterDecoder, OusterMetadata
 from viewshed.sweep import Sweep
 
-
 _LONGEST_NS = 1_000_000_000
 """Of a revolution; what was gathered before a longer gap is no view of now, and one number for ever fills no memory."""
 
