@@ -344,10 +344,13 @@ def test_a_folder_of_several_files_keeps_what_can_be_read(tmp_path: Path) -> Non
         "a_2.mcap": recording_files.mcap(),
         "a_3.db3.zstd": bytes(pa.compress(recording_files.db3(), codec="zstd", asbytes=True)),
     })  # fmt: skip
-    source = open_source(tmp_path / "bag")
-    assert [len(sweep) for _, sweep in each_sweep(source, on_damage=lambda *_: None)] == [6] * 6
-    [line] = [line for line in source.damage() if "a_1.db3" in line]
-    assert "is damaged" in line
+    with pytest.warns(UserWarning, match="a_1.db3 is damaged"):
+        assert [len(sweep) for sweep in open_recording(tmp_path / "bag")] == [6] * 6
+    # A recorder that was killed leaves messages in the log of its data base.
+    (tmp_path / "bag" / "a_1.db3").write_bytes(recording_files.db3())
+    (tmp_path / "bag" / "a_1.db3-wal").write_bytes(b"1")
+    [line] = [line for line in open_source(tmp_path / "bag").damage() if "a_1.db3" in line]
+    assert "a_1.db3-wal holds messages" in line
 
 
 def test_packed_messages_are_unpacked_and_bounded(tmp_path: Path) -> None:
@@ -569,6 +572,7 @@ def test_laser_scans_are_sweeps_in_a_plane(tmp_path: Path, ros: Ros, write: Writ
 def test_ouster_packets_are_sweeps(tmp_path: Path, ros: Ros, write: Write, kind: str) -> None:
     packets = _ouster(ros, 3, kind)[2:]  # the first revolution is cut off
     entries: list[Entry] = [("/os/lidar_packets", k * S, packet) for k, packet in enumerate(packets)]
+    entries.insert(7, ("/os/lidar_packets", 6 * S + 1, packets[5]))  # late: the next revolution has begun
     imu = _register(ros)[kind](np.zeros(48, np.uint8))
     about = _register(ros)[STRING](sweep_files.ouster_metadata().decode())
     place = write(tmp_path / "a", [*entries, ("/os/imu_packets", 0, imu), ("/os/metadata", 1, about)])

@@ -104,6 +104,10 @@ def open_bag(root: Path, path: Path) -> BagFile:
                 unless_taken.pop_all()
                 return bag
         if head == b"SQLite format 3\0":
+            log = path.with_name(f"{path.name}-wal")
+            if log.is_file() and log.stat().st_size:
+                whole = f"sqlite3 {path.name} 'PRAGMA wal_checkpoint(TRUNCATE)'"
+                raise ValueError(f"is not whole: {log.name} holds messages of it; write them back first: {whole}")
             return SqliteBag(stream.read() if packed else path, budget)
     if not head:
         raise ValueError("the file is empty")
