@@ -25,41 +25,25 @@ from lifecycle_msgs.srv import GetState
 from nav_msgs.msg import OccupancyGrid
 from numpy.typing import NDArray
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
+from rclpy.qos import qos_profile_sensor_data
 from rclpy.serialization import serialize_message
-from sensor_msgs.msg import LaserScan, PointCloud2, PointField
+from sensor_msgs.msg import LaserScan, PointCloud2
+from std_msgs.msg import Header
 
 from viewshed.sweep import Sweep
+from viewshed_ros.conversions import cloud_of
+from viewshed_ros.stops import LATCHED
 
 STAMP_AT = 4
 """Byte of a serialized message at which its header's stamp begins: seconds and nanoseconds, four bytes each."""
-
-LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 BEGIN_NS = 1_700_000_000 * 10**9
 """Time of the first message."""
 
 
 def cloud_bytes(sweep: Sweep) -> bytes:
-    """Return a serialized PointCloud2 of a sweep: x, y, z, intensity, and the ring where it is known."""
-    kinds = [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4")]
-    kinds += [("ring", "<u2")] if sweep.ring is not None else []
-    table = np.zeros(len(sweep), kinds)
-    for axis, name in enumerate("xyz"):
-        table[name] = sweep.points[:, axis]
-    if sweep.ring is not None:
-        table["ring"] = sweep.ring
-    message = PointCloud2(height=1, width=len(sweep), point_step=table.itemsize, is_dense=True)
-    message.row_step = table.nbytes
-    codes = {"<f4": PointField.FLOAT32, "<u2": PointField.UINT16}
-    offsets = [0, 4, 8, 12, 16]
-    message.fields = [
-        PointField(name=name, offset=offset, datatype=codes[kind], count=1)
-        for (name, kind), offset in zip(kinds, offsets, strict=False)
-    ]  # fmt: skip
-    message.header.frame_id = "lidar"
-    message.data = array("B", table.tobytes())
-    return bytes(serialize_message(message))
+    """Return a serialized PointCloud2 of a sweep: x, y, z, and the columns that are known."""
+    return bytes(serialize_message(cloud_of(sweep, PointCloud2(header=Header(frame_id="lidar")))))
 
 
 def scan_bytes(ranges_m: NDArray[np.float32], field_of_view: float, range_max_m: float) -> bytes:
@@ -98,13 +82,6 @@ def running_node(parameters: Mapping[str, object]) -> Iterator[subprocess.Popen[
         code = process.wait(30)
     if code != 0:
         raise RuntimeError(f"the node ended with {code}")
-
-
-def memory_mb(process: int) -> float:
-    """Return the resident memory of a process in 10⁶ bytes."""
-    status = Path(f"/proc/{process}/status").read_text(encoding="utf-8")
-    line = next(line for line in status.splitlines() if line.startswith("VmRSS"))
-    return int(line.split()[1]) * 1024 / 1e6
 
 
 def processor_s(process: int) -> float:

@@ -16,7 +16,8 @@ from typing import Any
 
 import numpy as np
 import rclpy
-from load import Load, Stream, cloud_bytes, memory_mb, processor_s, running_node, scan_bytes
+from benchmarks.soak import memory_mb
+from load import Load, Stream, cloud_bytes, processor_s, running_node, scan_bytes
 from rclpy.serialization import serialize_message
 
 from viewshed.estimators import load_estimator
@@ -31,7 +32,7 @@ from viewshed_ros.nav2 import SpeedLimits
 
 AGENTS = 10
 NETWORKS = ("unet", "mc_dropout")
-"""Methods that are networks: one pass, and twenty."""
+"""Methods that are networks: one pass, and ten."""
 
 UNDER_WAY = (1, 2, 3)
 """Of one sensor at a time: with three, one for each thread that works and one that waits."""

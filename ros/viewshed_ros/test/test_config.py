@@ -181,6 +181,7 @@ def test_the_servers_of_nav2_are_told_what_the_node_would_publish() -> None:
         info = costmap_filters.info_of(_Info(), mask, f"front/{mask}", SpeedLimits())
         assert (server["type"], server["mask_topic"], server["base"]) == (info.type, info.filter_mask_topic, info.base)
         assert server["multiplier"] == pytest.approx(info.multiplier)
+    assert SpeedLimits().percent(2.0) * info.multiplier == pytest.approx(2.0)
 
 
 def test_rviz_shows_topics_that_exist() -> None:
