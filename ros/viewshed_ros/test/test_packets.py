@@ -84,7 +84,7 @@ def test_the_node_answers_packets(tmp_path: Path) -> None:
         end = time.monotonic() + 30.0
         frame = 0
         while not grids and time.monotonic() < end:
-            frame += 1
+            frame = frame % 3 + 1
             if publisher.get_subscription_count():
                 for each in revolution(frame):
                     publisher.publish(UInt8MultiArray(data=array("B", each)))
