@@ -67,7 +67,7 @@ def test_a_late_packet_is_left_out_and_one_of_another_sensor_refused(tmp_path: P
 def test_metadata_that_are_none_name_their_file(tmp_path: Path) -> None:
     path = tmp_path / "no.json"
     path.write_text("{")
-    with pytest.raises(ValueError, match=r"no\.json: is no JSON"):
+    with pytest.raises(ValueError, match=r"no\.json must be Ouster metadata: is no JSON"):
         Revolutions.of(path)
 
 

@@ -39,7 +39,7 @@ class AdversaryNode(Node):
 
     def __init__(self, **options: Any) -> None:
         super().__init__("viewshed_adversary", **options)
-        parameters.declare_table(self, PARAMETERS)
+        parameters.declare_table(self, PARAMETERS, fixed=True)
         given: dict[str, Any] = parameters.values_of(self, PARAMETERS)
         self._adversary = Adversary(
             given["attack"], start_s=given["start_s"], end_s=given["end_s"] or np.inf, reset_s=given["reset_s"],

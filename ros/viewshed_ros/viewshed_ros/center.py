@@ -51,7 +51,7 @@ class CenterNode(Node):
 
     def __init__(self, **options: Any) -> None:
         super().__init__("viewshed_center", **options)
-        parameters.declare_table(self, PARAMETERS)
+        parameters.declare_table(self, PARAMETERS, fixed=True)
         given: dict[str, Any] = parameters.values_of(self, PARAMETERS)
         agents = list(given["agents"])
         if not all(agents):

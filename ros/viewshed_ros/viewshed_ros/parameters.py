@@ -77,21 +77,6 @@ class Parameter:
                 raise ValueError(f"{name} must lie in [{least:g}, {most:g}], got {value}")
 
 
-def _check_method(value: str) -> None:
-    if value != OF_PROFILE:
-        load_estimator(value)
-
-
-def _check_weights(value: str) -> None:
-    if value:
-        load_runner(value)
-
-
-def _check_monitor_file(value: str) -> None:
-    if value:
-        load_calibration(value)
-
-
 def _threat(value: str, profile: Profile) -> Threat | None:
     """Return the threat of a word; that of the profile, or none."""
     return profile.certify if value == OF_PROFILE else None if value == "never" else Threat.parse(value)
@@ -124,11 +109,15 @@ _SPEEDS_MPS = (1e-3, 1e3)
 # No value is on, off, yes or no: on a command line these are true and false, not text.
 PARAMETERS: dict[str, Parameter] = {
     "profile": Parameter("robot", "What the pipeline is for.", tuple(PROFILES)),
-    "method": Parameter(OF_PROFILE, "Name of the estimator, or profile.", check=_check_method),
+    "method": Parameter(
+        OF_PROFILE,
+        "Name of the estimator, or profile.",
+        check=lambda value: value == OF_PROFILE or load_estimator(value),
+    ),
     "weights": Parameter(
         "",
         "Of unet and mc_dropout: file or name of a network; empty for the shipped one of grid and target.",
-        check=_check_weights,
+        check=lambda value: value and load_runner(value),
     ),
     "passes": Parameter(0, "Of mc_dropout: passes, 2 or more; 0 for the usual 10.", least_and_most=(0, 1000)),
     "grid": Parameter(
@@ -148,7 +137,9 @@ PARAMETERS: dict[str, Parameter] = {
     ),
     "monitor": Parameter(OF_PROFILE, "Whether streams are watched.", (OF_PROFILE, "always", "never")),
     "monitor_file": Parameter(
-        "", "File of viewshed monitor calibrate; empty for the shipped one.", check=_check_monitor_file
+        "",
+        "File of viewshed monitor calibrate; empty for the shipped one.",
+        check=lambda value: value and load_calibration(value),
     ),
     "certify": Parameter(
         OF_PROFILE,
@@ -333,9 +324,10 @@ def _sensor(node: Node, name: str) -> SensorSettings:
     return SensorSettings(name, topic, kind, changes, base_from_sensor, given["frame"], revolutions)
 
 
-def declare_table(node: Node, table: dict[str, Parameter]) -> None:
-    """Declare the parameters of a table that are not declared yet."""
+def declare_table(node: Node, table: dict[str, Parameter], *, fixed: bool = False) -> None:
+    """Declare the parameters of a table that are not declared yet, all of them as fixed where that is wished."""
     for name, parameter in table.items():
+        parameter = replace(parameter, fixed=fixed or parameter.fixed)  # noqa: PLW2901
         if not node.has_parameter(name):
             try:
                 node.declare_parameter(name, parameter.default, parameter.descriptor())

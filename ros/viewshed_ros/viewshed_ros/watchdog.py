@@ -42,7 +42,7 @@ class Watchdog(Node):
 
     def _positive(self, name: str, otherwise: float, most: float) -> float:
         """Return a number that a parameter gives; one that makes no sense must not end who stops the vehicle."""
-        value = self.declare_parameter(name, otherwise, ParameterDescriptor(dynamic_typing=True)).value
+        value = self.declare_parameter(name, otherwise, ParameterDescriptor(dynamic_typing=True, read_only=True)).value
         if type(value) in (int, float) and 0.0 < value <= most:
             return float(value)
         self.get_logger().error(f"{name} must be a number in (0, {most:g}], got {value}; {otherwise:g} is taken")
