@@ -92,11 +92,6 @@ def _model(value: str) -> LidarModel | None:
     return None if value in ("auto", "none") else lidar_model(value)
 
 
-def _check_attitude(value: Sequence[float]) -> None:
-    if any(value):
-        rotation_from_quaternion(np.array(value))
-
-
 def _mounting(value: Sequence[float]) -> Rigid:
     if len(value) != 7:
         raise ValueError(f"mounting must be seven numbers, got {len(value)}")
@@ -205,7 +200,9 @@ SENSOR_PARAMETERS: dict[str, Parameter] = {
     "model": Parameter("auto", "Name of a beam table, auto to infer it from the points, or none.", check=_model),
     "height_m": Parameter(0.0, "Height above the ground; 0 to estimate it.", least_and_most=(0.0, 99.0)),
     "attitude": Parameter(
-        [0.0, 0.0, 0.0, 0.0], "Quaternion w, x, y, z of level_from_sensor; zeros to estimate it.", check=_check_attitude
+        [0.0, 0.0, 0.0, 0.0],
+        "Quaternion w, x, y, z of level_from_sensor; zeros to estimate it.",
+        check=lambda value: any(value) and rotation_from_quaternion(np.array(value)),
     ),
     "mounting": Parameter(
         [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0],
@@ -313,7 +310,7 @@ def _sensor(node: Node, name: str) -> SensorSettings:
         changes["sensor_height_m"] = given["height_m"]
     if any(given["attitude"]):
         changes["attitude"] = np.array(given["attitude"])
-        _check_attitude(changes["attitude"])
+        rotation_from_quaternion(changes["attitude"])
     base_from_sensor = _mounting(given["mounting"])
     topic = given["topic"] or f"{name}/points"
     kind, revolutions = INPUTS[given["type"]], None
