@@ -110,7 +110,7 @@ class CenterNode(Node):
 
     def _publish(self, done: Round) -> None:
         """Publish a round: where somebody listens, the joint view; tracks, numbers and trust always."""
-        self._done, self._count, self._done_ns = done, self._count + 1, time.monotonic()
+        self._done, self._count, self._done_s = done, self._count + 1, time.monotonic()
         header = Header(stamp=stamp_of(done.t_ns), frame_id=self._frame)
         self._topics["picture"].publish(String(data=json.dumps(done.numbers())))
         self._topics["tracks"].publish(track_cubes(tracks_of_center(done.picture), header))
