@@ -26,14 +26,14 @@ from lifecycle_msgs.srv import GetState
 from nav_msgs.msg import OccupancyGrid
 from numpy.typing import NDArray
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
+from rclpy.qos import qos_profile_sensor_data
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import LaserScan, PointCloud2, PointField
 
+from viewshed_ros.stops import LATCHED
+
 STAMP_AT = 4
 """Byte of a serialized message at which its header's stamp begins: seconds and nanoseconds, four bytes each."""
-
-LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 BEGIN_NS = 1_700_000_000 * 10**9
 """Time of the first message."""

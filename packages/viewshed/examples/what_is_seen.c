@@ -19,7 +19,9 @@ int main(int argc, char **argv) {
     sweep.count = fread(rows, 16, 1000000, file);
     sweep.points = rows;
     sweep.point_step = 16;
+    const int is_whole = sweep.count > 0 && feof(file);
     fclose(file);
+    if (!is_whole) return fprintf(stderr, "%s: must be a file of points of 16 bytes, fewer than a million\n", argv[1]), 2;
 
     viewshed_stream stream;
     viewshed_options options = viewshed_defaults();

@@ -93,8 +93,8 @@ VIEWSHED_API viewshed_status viewshed_open(const viewshed_options *options, view
 VIEWSHED_API viewshed_status viewshed_estimate(viewshed_stream stream, const viewshed_sweep *sweep, uint8_t *state,
                                                float *visible_prob, size_t cells, viewshed_basis *basis);
 
-/* Write the outline of what the last estimate calls visible (a probability of at least one half): rings of corners x, y in
- * meters, the last one joined to the first. Ring k has the corners [begin[k], begin[k + 1]). Rings of one region have the same
+/* Write the outline of what the last estimate without an error calls visible (a probability of at least one half): rings of
+ * corners x, y in meters, the last one joined to the first. Ring k has the corners [begin[k], begin[k + 1]). Rings of one region have the same
  * number, negative where the ring is a hole. Arrays that are too short leave VIEWSHED_ERROR_ROOM and the counts that are needed;
  * begin has one element more than there are rings. */
 VIEWSHED_API viewshed_status viewshed_outline(viewshed_stream stream, double *corners_m, size_t corner_room, int64_t *begin,

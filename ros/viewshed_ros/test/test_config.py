@@ -41,9 +41,12 @@ def test_the_example_is_read_and_what_is_missing_for_it_is_refused_and_can_be_me
         # What only configuring can tell is said there, and can be mended.
         assert node.trigger_configure() == TransitionCallbackReturn.FAILURE  # pose_source tf needs tf2_ros
         assert node.set_parameters([Parameter("pose_source", value="odometry")])[0].successful
+        publishers = len(list(node.publishers))
         for _ in range(2):
             assert node.trigger_configure() == TransitionCallbackReturn.SUCCESS
+            node._pipeline._publish_failed = ValueError("broken")  # is raised when it closes
             assert node.trigger_cleanup() == TransitionCallbackReturn.SUCCESS
+            assert len(list(node.publishers)) == publishers
     finally:
         node.destroy_node()
         context.shutdown()
@@ -64,6 +67,7 @@ NONSENSE = [
     ("history", -2, "history"),
     ("lidar.model", "vlp17", "lidar.model: sensor must be one of"),
     ("lidar.type", "clouds", "lidar.type must be one of cloud"),
+    ("lidar.height_m", -1.8, "lidar.height_m"),
     ("lidar.attitude", [2.0, 0.0, 0.0, 0.0], "lidar.attitude"),
     ("lidar.mounting", [0.0], "lidar.mounting: mounting must be seven numbers, got 1"),
     ("speed_unseen_mps", "fast", "Wrong parameter type"),
@@ -150,12 +154,16 @@ def test_what_can_change_at_run_time_does_and_the_rest_says_how(node: FieldOfVie
     assert node._settings_now().rate_hz == settings.profile.rate_hz
 
 
-def test_a_range_that_is_given_wrongly_at_the_start_is_told_and_can_be_mended() -> None:
+@pytest.mark.parametrize(
+    ("given", "why"), [("-1", r"must lie in \[0\.05, 60\], got -1"), ("true", "must be a value like 0.5, got True")]
+)
+def test_what_is_given_wrongly_at_the_start_is_told_and_can_be_mended(given: str, why: str) -> None:
     context = rclpy.Context()
-    context.init(args=["--ros-args", "-p", "stale_s:=-1.0", "-p", "monitor:=never"])
+    words = [f"stale_s:={given}", "monitor:=never", "vehicle_front_m:=4", "lidar.mounting:=[0, 0, 1, 1, 0, 0, 0]"]
+    context.init(args=["--ros-args", *(word for each in words for word in ("-p", each))])
     node = FieldOfView(context=context)
     try:
-        with pytest.raises(ValueError, match=r"stale_s must lie in \[0\.05, 60\], got -1\.0"):
+        with pytest.raises(ValueError, match=f"stale_s {why}"):
             parameters.read(node)
         assert node.trigger_configure() == TransitionCallbackReturn.FAILURE
         assert node.set_parameters([Parameter("stale_s", value=1.0)])[0].successful
@@ -173,6 +181,7 @@ def test_the_servers_of_nav2_are_told_what_the_node_would_publish() -> None:
         info = costmap_filters.info_of(_Info(), mask, f"front/{mask}", SpeedLimits())
         assert (server["type"], server["mask_topic"], server["base"]) == (info.type, info.filter_mask_topic, info.base)
         assert server["multiplier"] == pytest.approx(info.multiplier)
+    assert SpeedLimits().percent(2.0) * info.multiplier == pytest.approx(2.0)
 
 
 def test_rviz_shows_topics_that_exist() -> None:

@@ -13,7 +13,7 @@ from viewshed.fov.estimate import CellState, FovEstimate
 from viewshed.geometry import Rigid
 from viewshed.grid import BevGrid
 from viewshed.io.messages.pointcloud2 import sweep_of_cloud
-from viewshed_ros import costmap_filters, nav2
+from viewshed_ros import nav2
 from viewshed_ros.conversions import rigid_of, stamp_of
 from viewshed_ros.layers import LAYERS, PosedEstimate, Unseen, area_of
 from viewshed_ros.stops import everywhere
@@ -182,14 +182,3 @@ def test_what_the_body_hides_is_said_as_stvl_takes_it() -> None:
     for outside in (0.0, 90.0, 120.0, 240.0, 290.0, 345.0):
         assert not any(first < outside < last for first, last in spans)
     assert LAYERS["obstruction"].make(view(state=np.full(grid.shape, F, np.uint8), grid=grid)).data == ""
-
-
-class _Info:
-    """Stands in for ``nav2_msgs/CostmapFilterInfo``, which has no wheel."""
-
-
-def test_infos_say_what_the_masks_mean() -> None:
-    speed = costmap_filters.info_of(_Info(), "speed_mask", "/lidar/speed_mask", LIMITS)
-    assert (speed.type, speed.filter_mask_topic, speed.base) == (2, "/lidar/speed_mask", 0.0)
-    assert LIMITS.percent(2.0) * speed.multiplier == pytest.approx(2.0)
-    assert costmap_filters.info_of(_Info(), "keepout_mask", "/k", LIMITS).type == 0

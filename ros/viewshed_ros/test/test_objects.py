@@ -175,7 +175,8 @@ def test_tracks_are_published_with_their_explanations_and_objects_are_told_to_th
     assert (markers[0].action, len(markers) - 1) == (Marker.DELETEALL, len(explained["tracks"]))
     assert [each.ns for each in markers[1:]] == [track["explanation"] for track in explained["tracks"]]
     assert len(graph.got["lidar/detections"][-1].markers) > 10
-    # The center: joint tracks, trust in each agent, the joint view.
+    # The center: when the last round came, joint tracks, trust in each agent, the joint view.
+    assert time.monotonic() - graph.center._done_s < 60.0
     picture = json.loads(graph.got["center/picture"][-1].data)
     assert set(picture["agents"]) == {"car", "mast"}
     assert any(sorted(one["reported_by"]) == ["car", "mast"] for one in picture["objects"])

@@ -38,7 +38,7 @@ def buffer(*times_ns: int) -> PoseBuffer:
 
 def test_between_two_poses_the_pose_is_interpolated_and_the_mounting_added() -> None:
     mounting = Rigid(np.eye(3), np.array([0.0, 1.0, 2.0]))
-    found = buffer(0, 400_000_000).world_from_sensor("lidar", 100_000_000, mounting)
+    found = buffer(0, 400_000_000, 400_000_000).world_from_sensor("lidar", 100_000_000, mounting)
     np.testing.assert_allclose(
         found.as_matrix(), (Rigid.from_yaw(0.1, (0.1, 0.0, 0.0)) @ mounting).as_matrix(), atol=1e-9
     )
@@ -63,13 +63,9 @@ def test_memory_is_bounded() -> None:
     assert len(buffer(*range(1, 10 * MOST_POSES, 5))) == MOST_POSES
 
 
-def test_poses_in_another_frame_or_without_a_rotation_are_refused() -> None:
+def test_poses_in_another_frame_are_refused() -> None:
     with pytest.raises(ValueError, match="must be in frame 'map', got 'odom'"):
         buffer().add(odometry(0, Rigid.identity(), "odom"))
-    broken = odometry(0, Rigid.identity())
-    broken.pose.pose.orientation.w = 0.0
-    with pytest.raises(ValueError, match="norm 1"):
-        buffer().add(broken)
 
 
 class StandIn:

@@ -10,7 +10,6 @@ import pytest
 import rclpy
 from diagnostic_msgs.msg import DiagnosticStatus
 from lifecycle_msgs.msg import Transition
-from nav2_rules import is_kept_out, speed_percent
 from nav_msgs.msg import OccupancyGrid
 from robot import STEP_NS, Robot, pose_at, running
 
@@ -31,6 +30,25 @@ SLACK_S = 0.3
 
 PATIENCE_S = 2.0
 """Until it is here, likewise."""
+
+
+def value_at(mask: OccupancyGrid, x: float, y: float) -> int:
+    """Return the value of the cell at (x, y), as nav2's filters read it; -1 outside."""
+    info = mask.info
+    column = int((x - info.origin.position.x) // info.resolution)
+    row = int((y - info.origin.position.y) // info.resolution)
+    inside = 0 <= column < info.width and 0 <= row < info.height
+    return int(mask.data[row * info.width + column]) if inside else -1
+
+
+def speed_percent(mask: OccupancyGrid, x: float, y: float, before: int) -> int:
+    """SpeedFilter: -1 is skipped, the limit before holds; 0 is no limit; else percent of the greatest speed."""
+    return before if (value := value_at(mask, x, y)) == -1 else value or 100
+
+
+def is_kept_out(mask: OccupancyGrid, x: float, y: float) -> bool:
+    """KeepoutFilter: -1 is skipped; 100 is lethal."""
+    return value_at(mask, x, y) == 100
 
 
 class Vehicle:
@@ -164,7 +182,7 @@ def test_nav2_stops_when_the_sensor_or_the_poses_stop_and_when_the_node_does(sta
 def test_the_watchdog_stops_in_place_of_a_node_that_was_killed_and_withdraws_when_it_lives_again(
     stack: ExitStack,
 ) -> None:
-    stack.enter_context(running({"sensors": "[front]", "speed_unseen_mps": "2.0"}, "watchdog"))
+    stack.enter_context(running({"sensors": "[front]", "speed_unseen_mps": "2", "stale_s": ".nan"}, "watchdog"))
     robot = Robot()
     vehicle = Vehicle(robot)
     # 1. Before the node lives at all.

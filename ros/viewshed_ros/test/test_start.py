@@ -45,6 +45,13 @@ def test_a_node_that_could_not_be_started_ends_by_a_signal(
         assert process.wait(20) == 0, said
 
 
+def test_why_a_center_cannot_start_is_one_line() -> None:
+    command = [sys.executable, "-m", "viewshed_ros.center"]
+    ended = subprocess.run(command, check=False, env=os.environ, capture_output=True, text=True, timeout=60)
+    assert (ended.returncode, ended.stderr.count("\n")) == (1, 1)
+    assert "not started: agents must name agents" in ended.stderr
+
+
 def test_a_signal_while_it_starts_ends_it() -> None:
     for step in range(4):
         with started() as process:

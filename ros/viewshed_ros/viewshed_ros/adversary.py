@@ -5,20 +5,17 @@ For trials of what follows; whatever it does not forge passes as it is, bytes an
 
 from __future__ import annotations
 
-from array import array
 from typing import Any
 
 import numpy as np
 from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
-from sensor_msgs.msg import PointCloud2, PointField
+from sensor_msgs.msg import PointCloud2
 from visualization_msgs.msg import MarkerArray
 
-from viewshed.io.messages.pointcloud2 import cloud_table
-from viewshed.sweep import Sweep
 from viewshed_lab.threats.adversary import Adversary
 from viewshed_ros import parameters
-from viewshed_ros.conversions import INPUTS, nanoseconds_of
+from viewshed_ros.conversions import INPUTS, cloud_of, nanoseconds_of
 from viewshed_ros.object_layers import detection_cubes, detections_of
 from viewshed_ros.parameters import Parameter
 from viewshed_ros.spinning import spin
@@ -36,15 +33,13 @@ PARAMETERS: dict[str, Parameter] = {
 }
 """Of the node."""
 
-_CODES = {"<f4": PointField.FLOAT32, "<u2": PointField.UINT16}
-
 
 class AdversaryNode(Node):
     """Forges what comes in, by :data:`PARAMETERS`."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__("viewshed_adversary", **options)
-        parameters.declare_table(self, PARAMETERS)
+        parameters.declare_table(self, PARAMETERS, fixed=True)
         given: dict[str, Any] = parameters.values_of(self, PARAMETERS)
         self._adversary = Adversary(
             given["attack"], start_s=given["start_s"], end_s=given["end_s"] or np.inf, reset_s=given["reset_s"],
@@ -80,21 +75,6 @@ class AdversaryNode(Node):
             self._forged.publish(message)
             return
         self._forged.publish(detection_cubes(forged, header))
-
-
-def cloud_of(sweep: Sweep, like: PointCloud2) -> PointCloud2:
-    """Return a sweep as a cloud, with those of its columns that it has; the header is that of another cloud."""
-    table = cloud_table(sweep)
-    places: dict[str, Any] = dict(table.dtype.fields or {})
-    fields = [
-        PointField(name=name, offset=offset, datatype=_CODES[form.str], count=1)
-        for name, (form, offset) in places.items()
-    ]
-    size = table.dtype.itemsize
-    return PointCloud2(
-        header=like.header, height=1, width=len(sweep), fields=fields, point_step=size, row_step=size * len(sweep),
-        is_dense=True, data=array("B", table.tobytes()),
-    )  # fmt: skip
 
 
 def main(arguments: list[str] | None = None) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -23,7 +24,7 @@ from viewshed_ros.conversions import stamp_of
 from viewshed_ros.layers import grid_message
 from viewshed_ros.object_layers import track_cubes
 from viewshed_ros.parameters import Parameter
-from viewshed_ros.spinning import spin
+from viewshed_ros.spinning import STEADY, spin
 
 VIEWS = QoSProfile(depth=64, reliability=ReliabilityPolicy.BEST_EFFORT)
 """Of the messages of agents: what is late is of no use any more."""
@@ -36,8 +37,10 @@ PARAMETERS: dict[str, Parameter] = {
     "keys": Parameter([""], "Files of their public keys, 64 hexadecimal digits each, in the same order."),
     "topic": Parameter("/viewshed/views", "Topic of the messages of all agents."),
     "world_frame": Parameter("map", "Frame of their poses."),
-    "slop_s": Parameter(0.1, "Seconds by which reports of one round may lie apart, by the center's clock."),
-    "diagnostics_hz": Parameter(1.0, "How often /diagnostics is published."),
+    "slop_s": Parameter(
+        0.1, "Seconds by which reports of one round may lie apart, by the center's clock.", least_and_most=(0.0, 10.0)
+    ),
+    "diagnostics_hz": Parameter(1.0, "How often /diagnostics is published.", least_and_most=(0.01, 100.0)),
     "state": Parameter("", "File that remembers the newest message of each key, so that a restart takes no replay."),
 }
 """Of the node."""
@@ -48,16 +51,18 @@ class CenterNode(Node):
 
     def __init__(self, **options: Any) -> None:
         super().__init__("viewshed_center", **options)
-        parameters.declare_table(self, PARAMETERS)
+        parameters.declare_table(self, PARAMETERS, fixed=True)
         given: dict[str, Any] = parameters.values_of(self, PARAMETERS)
         agents = list(given["agents"])
+        if not all(agents):
+            raise ValueError(f"agents must name agents, and keys the files of their public keys, got agents {agents}")
         self._frame = given["world_frame"]
         ring = KeyRing(read_verifying_keys(agents, list(given["keys"])))
         self._receiver = Receiver(ring, frozenset({self._frame}), state=given["state"] or None)
         self._rounds = Rounds(tuple(agents), given["slop_s"])
         self._notes: list[str] = []
         self._done: Round | None = None
-        self._count, self._done_ns = 0, 0
+        self._count, self._done_s = 0, 0.0
         self._topics = {
             name: self.create_publisher(kind, f"center/{name}", 5)
             for name, kind in (("visibility", OccupancyGrid), ("tracks", MarkerArray), ("picture", String))
@@ -67,8 +72,8 @@ class CenterNode(Node):
         }
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 5)
         self.create_subscription(UInt8MultiArray, given["topic"], self._take, VIEWS)
-        self.create_timer(1.0 / given["diagnostics_hz"], self._diagnose)
-        self.create_timer(TICK_S, self._tick)
+        self.create_timer(1.0 / given["diagnostics_hz"], self._diagnose, clock=STEADY)
+        self.create_timer(TICK_S, self._tick, clock=STEADY)
 
     def _take(self, message: UInt8MultiArray) -> None:
         """Take what an agent tells; what is refused is counted with its reason."""
@@ -105,7 +110,7 @@ class CenterNode(Node):
 
     def _publish(self, done: Round) -> None:
         """Publish a round: where somebody listens, the joint view; tracks, numbers and trust always."""
-        self._done, self._count, self._done_ns = done, self._count + 1, self.get_clock().now().nanoseconds
+        self._done, self._count, self._done_s = done, self._count + 1, time.monotonic()
         header = Header(stamp=stamp_of(done.t_ns), frame_id=self._frame)
         self._topics["picture"].publish(String(data=json.dumps(done.numbers())))
         self._topics["tracks"].publish(track_cubes(tracks_of_center(done.picture), header))
@@ -133,7 +138,7 @@ class CenterNode(Node):
         if self._done is None:
             status.level, status.message = DiagnosticStatus.STALE, "no round yet: nothing is known"
             return status
-        silent_s = 1e-9 * (self.get_clock().now().nanoseconds - self._done_ns)
+        silent_s = time.monotonic() - self._done_s
         sentences = self._done.sentences()
         # A place without objects is no fault.
         status.level = DiagnosticStatus.WARN if set(sentences) - {NO_OBJECTS} else DiagnosticStatus.OK

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from array import array
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
@@ -11,12 +12,12 @@ import numpy as np
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Point, Pose, Quaternion
 from numpy.typing import NDArray
-from sensor_msgs.msg import PointCloud2
+from sensor_msgs.msg import PointCloud2, PointField
 
 from viewshed.geometry import Rigid, quaternion_from_rotation, rotation_from_quaternion
 from viewshed.io.messages.laserscan import sweep_of_scan
 from viewshed.io.messages.packets import sweep_of_velodyne
-from viewshed.io.messages.pointcloud2 import sweep_of_cloud
+from viewshed.io.messages.pointcloud2 import cloud_table, sweep_of_cloud
 from viewshed.sweep import Sweep
 
 NANOSECONDS = 1_000_000_000
@@ -90,6 +91,24 @@ INPUTS = {
     "ouster_bytes": Input(("std_msgs",), "UInt8MultiArray", None, packet="data"),
 }
 """What a sensor may send, by the value of its parameter ``type``."""
+
+
+_CODES = {"<f4": PointField.FLOAT32, "<u2": PointField.UINT16}
+
+
+def cloud_of(sweep: Sweep, like: PointCloud2) -> PointCloud2:
+    """Return a sweep as a cloud, with those of its columns that it has; the header is that of another one."""
+    table = cloud_table(sweep)
+    places: dict[str, Any] = dict(table.dtype.fields or {})
+    fields = [
+        PointField(name=name, offset=offset, datatype=_CODES[form.str], count=1)
+        for name, (form, offset) in places.items()
+    ]
+    size = table.dtype.itemsize
+    return PointCloud2(
+        header=like.header, height=1, width=len(sweep), fields=fields, point_step=size, row_step=size * len(sweep),
+        is_dense=True, data=array("B", table.tobytes()),
+    )  # fmt: skip
 
 
 def rigid_of(position: Any, orientation: Any) -> Rigid:

@@ -12,7 +12,6 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from nav_msgs.msg import OccupancyGrid
 from rcl_interfaces.msg import SetParametersResult
-from rclpy.clock import Clock, ClockType
 from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.parameter import Parameter
@@ -33,7 +32,7 @@ from viewshed_ros.object_layers import OBJECT_LAYERS, ObjectsView
 from viewshed_ros.outlets import FrameVote, Outlet, Sensor
 from viewshed_ros.packets import Revolution, Revolutions
 from viewshed_ros.parameters import OF_PROFILE, NodeSettings, SensorSettings
-from viewshed_ros.spinning import until_a_signal
+from viewshed_ros.spinning import STEADY, until_a_signal
 from viewshed_ros.stops import CHECK_S, LATCHED, MASK_STOPS, Stale, stale_alarm
 
 NO_EVENTS = PublisherEventCallbacks(use_default_callbacks=False)
@@ -52,9 +51,6 @@ LIVE = QoSProfile(depth=5)
 
 ALARM, VIEWS_TOPIC = "alarm", "views"
 """Outlets of a sensor that are no layers: its alarm, and what is shared with other agents."""
-
-STEADY = Clock(clock_type=ClockType.STEADY_TIME)
-"""Of timers that also run where simulated time stands still."""
 
 
 class FieldOfView(LifecycleNode):
@@ -280,8 +276,11 @@ class FieldOfView(LifecycleNode):
         self._is_active = False
         self._stop_listening()
         pipeline, destroy, self._pipeline, self._destroy = self._pipeline, self._destroy, None, []
-        if pipeline is not None:
-            pipeline.close()
+        try:
+            if pipeline is not None:
+                pipeline.close()
+        except Exception as error:  # what hung or failed in it keeps nothing else
+            self.get_logger().error(f"the pipeline did not end well: {' '.join(str(error).split())}")
         if self._diagnostics_timer is not None:
             self.destroy_timer(self._diagnostics_timer)
         for each in destroy:

@@ -6,19 +6,19 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from viewshed.io.messages.packets import sweep_of_ouster
-from viewshed.io.ouster_packets import OusterDecoder, OusterMetadata
+from viewshed.io.ouster_packets import OusterDecoder, read_metadata
 from viewshed.sweep import Sweep
+
+_LONGEST_NS = 1_000_000_000
+"""Of a revolution; what was gathered before a longer gap is no view of now, and one number for ever fills no memory."""
 
 
 @dataclass(frozen=True, slots=True)
 class Packet:
     """One packet of an Ouster sensor, as ``PacketMsg`` holds it."""
 
-    buf: NDArray[np.uint8]
+    buf: bytes
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,11 +42,7 @@ class Revolutions:
     @classmethod
     def of(cls, metadata: str | Path) -> Revolutions:
         """Return what gathers the packets of the sensor that a file of its metadata describes."""
-        path = Path(metadata)
-        try:
-            return cls(OusterDecoder(OusterMetadata.parse(path.read_text(encoding="utf-8"))))
-        except (ValueError, UnicodeDecodeError) as error:
-            raise ValueError(f"{path.name}: {error}") from error
+        return cls(OusterDecoder(read_metadata(Path(metadata))))
 
     def add(self, data: Any, t_ns: int) -> Revolution | None:
         """Take a packet; return the revolution before where it begins another.
@@ -55,8 +51,10 @@ class Revolutions:
             data: its bytes, as the message's array holds them.
             t_ns: when it came.
         """
-        packet = Packet(np.frombuffer(bytes(data), np.uint8))
-        number = self.decoder.frame_number(packet.buf.tobytes())
+        packet = Packet(bytes(data))
+        if not 0 <= t_ns - self._begin_ns <= _LONGEST_NS:
+            self._packets, self._number, self._before = [], None, None
+        number = self.decoder.frame_number(packet.buf)
         if number is None:
             size = self.decoder.packet_bytes
             raise ValueError(f"a packet must be a lidar packet of {size} bytes of this sensor, got {len(packet.buf)}")

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from array import array
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
-from rclpy.exceptions import InvalidParameterValueException
+from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
 from rclpy.node import Node
 
 from viewshed.estimators import load_estimator
@@ -32,6 +33,9 @@ OF_PROFILE = "profile"
 
 Value = bool | str | float | int | list[str] | list[float]
 
+_KINDS: dict[type, tuple[type, ...]] = {float: (float, int), list: (list, array)}
+"""Types of values, by that of the default where there is more than that one."""
+
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
@@ -45,14 +49,15 @@ class Parameter:
     at_run: bool = False  # whether a change holds at once; else it needs another configuration
     fixed: bool = False  # whether it is read once, when the process starts
 
-    def descriptor(self, *, with_range: bool = True) -> ParameterDescriptor:
-        """Return what ``ros2 param describe`` says."""
+    def descriptor(self, *, is_strict: bool = True) -> ParameterDescriptor:
+        """Return what ``ros2 param describe`` says; one that is not strict lets any value pass."""
         words = [", ".join(self.choices)] if self.choices else []
         words += [] if self.at_run or self.fixed else ["read when the node is configured"]
         made = ParameterDescriptor(
-            description=self.description, additional_constraints="; ".join(words), read_only=self.fixed
+            description=self.description, additional_constraints="; ".join(words), read_only=self.fixed,
+            dynamic_typing=not is_strict,
         )  # fmt: skip
-        if with_range and self.least_and_most is not None:
+        if is_strict and self.least_and_most is not None:
             least, most = self.least_and_most
             if isinstance(self.default, float):
                 made.floating_point_range = [FloatingPointRange(from_value=least, to_value=most)]
@@ -61,7 +66,9 @@ class Parameter:
         return made
 
     def refuse(self, name: str, value: Any) -> None:
-        """Refuse a value that is no choice, or out of bounds."""
+        """Refuse a value of another type, that is no choice, or out of bounds; a whole number is a number as well."""
+        if type(value) not in _KINDS.get(type(self.default), (type(self.default),)):
+            raise ValueError(f"{name} must be a value like {self.default!r}, got {value!r}")
         if self.choices and value not in self.choices:
             raise ValueError(f"{name} must be one of {', '.join(self.choices)}, got {value!r}")
         if self.least_and_most is not None:
@@ -70,38 +77,19 @@ class Parameter:
                 raise ValueError(f"{name} must lie in [{least:g}, {most:g}], got {value}")
 
 
-def _check_method(value: str) -> None:
-    if value != OF_PROFILE:
-        load_estimator(value)
-
-
-def _check_weights(value: str) -> None:
-    if value:
-        load_runner(value)
-
-
-def _check_monitor_file(value: str) -> None:
-    if value:
-        load_calibration(value)
-
-
 def _threat(value: str, profile: Profile) -> Threat | None:
     """Return the threat of a word; that of the profile, or none."""
     return profile.certify if value == OF_PROFILE else None if value == "never" else Threat.parse(value)
 
 
 def _check_sensors(names: Sequence[str]) -> None:
-    if not names or len(set(names)) != len(names) or not all(name.isidentifier() and name.isascii() for name in names):
+    words = [str(name) for name in names if str(name).isidentifier() and str(name).isascii()]
+    if not names or len(set(words)) != len(names):
         raise ValueError(f"sensors must be different names of letters and digits, got {list(names)}")
 
 
 def _model(value: str) -> LidarModel | None:
     return None if value in ("auto", "none") else lidar_model(value)
-
-
-def _check_attitude(value: Sequence[float]) -> None:
-    if any(value):
-        rotation_from_quaternion(np.array(value))
 
 
 def _mounting(value: Sequence[float]) -> Rigid:
@@ -116,11 +104,15 @@ _SPEEDS_MPS = (1e-3, 1e3)
 # No value is on, off, yes or no: on a command line these are true and false, not text.
 PARAMETERS: dict[str, Parameter] = {
     "profile": Parameter("robot", "What the pipeline is for.", tuple(PROFILES)),
-    "method": Parameter(OF_PROFILE, "Name of the estimator, or profile.", check=_check_method),
+    "method": Parameter(
+        OF_PROFILE,
+        "Name of the estimator, or profile.",
+        check=lambda value: value == OF_PROFILE or load_estimator(value),
+    ),
     "weights": Parameter(
         "",
         "Of unet and mc_dropout: file or name of a network; empty for the shipped one of grid and target.",
-        check=_check_weights,
+        check=lambda value: value and load_runner(value),
     ),
     "passes": Parameter(0, "Of mc_dropout: passes, 2 or more; 0 for the usual 10.", least_and_most=(0, 1000)),
     "grid": Parameter(
@@ -140,7 +132,9 @@ PARAMETERS: dict[str, Parameter] = {
     ),
     "monitor": Parameter(OF_PROFILE, "Whether streams are watched.", (OF_PROFILE, "always", "never")),
     "monitor_file": Parameter(
-        "", "File of viewshed monitor calibrate; empty for the shipped one.", check=_check_monitor_file
+        "",
+        "File of viewshed monitor calibrate; empty for the shipped one.",
+        check=lambda value: value and load_calibration(value),
     ),
     "certify": Parameter(
         OF_PROFILE,
@@ -204,9 +198,11 @@ SENSOR_PARAMETERS: dict[str, Parameter] = {
         "", "The only frame whose clouds are taken, and that of packets; empty for that of most clouds, and NAME."
     ),
     "model": Parameter("auto", "Name of a beam table, auto to infer it from the points, or none.", check=_model),
-    "height_m": Parameter(0.0, "Height above the ground; 0 to estimate it."),
+    "height_m": Parameter(0.0, "Height above the ground; 0 to estimate it.", least_and_most=(0.0, 99.0)),
     "attitude": Parameter(
-        [0.0, 0.0, 0.0, 0.0], "Quaternion w, x, y, z of level_from_sensor; zeros to estimate it.", check=_check_attitude
+        [0.0, 0.0, 0.0, 0.0],
+        "Quaternion w, x, y, z of level_from_sensor; zeros to estimate it.",
+        check=lambda value: any(value) and rotation_from_quaternion(np.array(value)),
     ),
     "mounting": Parameter(
         [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0],
@@ -314,7 +310,7 @@ def _sensor(node: Node, name: str) -> SensorSettings:
         changes["sensor_height_m"] = given["height_m"]
     if any(given["attitude"]):
         changes["attitude"] = np.array(given["attitude"])
-        _check_attitude(changes["attitude"])
+        rotation_from_quaternion(changes["attitude"])
     base_from_sensor = _mounting(given["mounting"])
     topic = given["topic"] or f"{name}/points"
     kind, revolutions = INPUTS[given["type"]], None
@@ -325,14 +321,16 @@ def _sensor(node: Node, name: str) -> SensorSettings:
     return SensorSettings(name, topic, kind, changes, base_from_sensor, given["frame"], revolutions)
 
 
-def declare_table(node: Node, table: dict[str, Parameter]) -> None:
-    """Declare the parameters of a table that are not declared yet."""
+def declare_table(node: Node, table: dict[str, Parameter], *, fixed: bool = False) -> None:
+    """Declare the parameters of a table that are not declared yet, all of them as fixed where that is wished."""
     for name, parameter in table.items():
+        parameter = replace(parameter, fixed=fixed or parameter.fixed)  # noqa: PLW2901
         if not node.has_parameter(name):
             try:
                 node.declare_parameter(name, parameter.default, parameter.descriptor())
-            except InvalidParameterValueException:  # reported when it is read, so that it can be mended
-                node.declare_parameter(name, parameter.default, parameter.descriptor(with_range=False))
+            except (InvalidParameterTypeException, InvalidParameterValueException):
+                # Reported when it is read, so that it can be mended.
+                node.declare_parameter(name, parameter.default, parameter.descriptor(is_strict=False))
 
 
 def values_of(node: Node, table: dict[str, Parameter]) -> dict[str, Any]:
@@ -340,6 +338,7 @@ def values_of(node: Node, table: dict[str, Parameter]) -> dict[str, Any]:
     values = {name: node.get_parameter(name).value for name in table}
     for name, parameter in table.items():
         parameter.refuse(name, values[name])
+        values[name] = float(values[name]) if isinstance(parameter.default, float) else values[name]
     return values
 
 

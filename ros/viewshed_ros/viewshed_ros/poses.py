@@ -6,6 +6,7 @@ from bisect import bisect_left
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
+from operator import itemgetter
 from threading import Condition
 from typing import Any, Protocol
 
@@ -75,46 +76,47 @@ class PoseBuffer:
 
     def __init__(self, topic: PoseTopic, world_frame: str, wait_s: float = 0.0) -> None:
         self._topic, self._world_frame, self.wait_s = topic, world_frame, wait_s
-        self._times: deque[int] = deque(maxlen=MOST_POSES)
-        self._poses: deque[Rigid] = deque(maxlen=MOST_POSES)
+        self._poses: deque[tuple[int, Rigid]] = deque(maxlen=MOST_POSES)
         self._changed = Condition()
 
     def __len__(self) -> int:
-        return len(self._times)
+        return len(self._poses)
 
     def add(self, message: Any) -> None:
-        """Take a message; one from before the last begins anew."""
+        """Take a message; one of the last one's time replaces that, one from before it begins anew."""
         if message.header.frame_id.lstrip("/") != self._world_frame:
             raise ValueError(f"a pose must be in frame {self._world_frame!r}, got {message.header.frame_id!r}")
         t_ns, pose = nanoseconds_of(message.header.stamp), self._topic.rigid(message)
         with self._changed:
-            if self._times and t_ns <= self._times[-1]:
-                self._times.clear()
+            if self._poses and t_ns < self._poses[-1][0]:
                 self._poses.clear()
-            self._times.append(t_ns)
-            self._poses.append(pose)
+            elif self._poses and t_ns == self._poses[-1][0]:
+                self._poses.pop()
+            self._poses.append((t_ns, pose))
             self._changed.notify_all()
 
     def world_from_sensor(self, frame: str, t_ns: int, base_from_sensor: Rigid) -> Rigid:
         """Return the pose of a sensor; see :class:`PoseSource`."""
         with self._changed:
-            self._changed.wait_for(lambda: bool(self._times) and self._times[-1] >= t_ns, self.wait_s)
+            self._changed.wait_for(lambda: bool(self._poses) and self._poses[-1][0] >= t_ns, self.wait_s)
             return self._at(t_ns) @ base_from_sensor
 
     def _at(self, t_ns: int) -> Rigid:
-        if not self._times:
+        if not self._poses:
             raise LookupError("no pose has come yet")
-        if t_ns > self._times[-1]:
-            raise LookupError(f"the cloud is {(t_ns - self._times[-1]) / 1e9:.3g} s newer than the last pose")
-        late = bisect_left(self._times, t_ns)
-        if self._times[late] == t_ns:
-            return self._poses[late]
+        if t_ns > self._poses[-1][0]:
+            raise LookupError(f"the cloud is {(t_ns - self._poses[-1][0]) / 1e9:.3g} s newer than the last pose")
+        late = bisect_left(self._poses, t_ns, key=itemgetter(0))
+        after_ns, after = self._poses[late]
+        if after_ns == t_ns:
+            return after
         if late == 0:
-            raise LookupError(f"the cloud is {(self._times[0] - t_ns) / 1e9:.3g} s older than the first pose kept")
-        gap_ns = self._times[late] - self._times[late - 1]
+            raise LookupError(f"the cloud is {(after_ns - t_ns) / 1e9:.3g} s older than the first pose kept")
+        before_ns, before = self._poses[late - 1]
+        gap_ns = after_ns - before_ns
         if gap_ns > LONGEST_GAP_S * 1e9:
             raise LookupError(f"poses are {gap_ns / 1e9:.3g} s apart around the cloud, more than {LONGEST_GAP_S:g} s")
-        return between(self._poses[late - 1], self._poses[late], (t_ns - self._times[late - 1]) / gap_ns)
+        return between(before, after, (t_ns - before_ns) / gap_ns)
 
 
 class TfPoses:

@@ -8,8 +8,13 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 import rclpy
+from rclpy.clock import Clock, ClockType
+from rclpy.exceptions import ParameterException
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
+
+STEADY = Clock(clock_type=ClockType.STEADY_TIME)
+"""Of timers that also run where the clock is set back, and where simulated time stands still."""
 
 
 @contextmanager
@@ -38,6 +43,10 @@ def until_a_signal(arguments: list[str] | None = None) -> Iterator[None]:
 
 
 def spin(make: Callable[[], Node], arguments: list[str] | None = None) -> None:
-    """Make a node and run it until a signal ends it."""
+    """Make a node and run it until a signal ends it; why it cannot be made is said in one line."""
     with until_a_signal(arguments):
-        rclpy.spin(make())
+        try:
+            node = make()
+        except (ValueError, OSError, ParameterException) as error:
+            sys.exit(f"not started: {' '.join(str(error).split())}")
+        rclpy.spin(node)

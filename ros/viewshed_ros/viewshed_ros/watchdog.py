@@ -13,11 +13,11 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from nav_msgs.msg import MapMetaData, OccupancyGrid
-from rclpy.clock import Clock, ClockType
+from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.node import Node
 from std_msgs.msg import Header
 
-from viewshed_ros.spinning import spin
+from viewshed_ros.spinning import STEADY, spin
 from viewshed_ros.stops import CHECK_S, LATCHED, MASK_STOPS, STALE_S, Stale, everywhere, stale_alarm, stop_mask
 
 
@@ -28,8 +28,8 @@ class Watchdog(Node):
         super().__init__("field_of_view_watchdog", **options)
         names = self.declare_parameter("sensors", ["lidar"]).value
         self._frame: str = self.declare_parameter("world_frame", "map").value
-        self._limit_s: float = self.declare_parameter("stale_s", STALE_S).value
-        self._unseen_mps: float = self.declare_parameter("speed_unseen_mps", 1.0).value
+        self._limit_s = self._positive("stale_s", STALE_S, 60.0)
+        self._unseen_mps = self._positive("speed_unseen_mps", 1.0, 1e3)
         self._heard_s = dict.fromkeys(names, -math.inf)
         self._areas: dict[str, MapMetaData] = {name: everywhere() for name in names}
         self._stops: dict[str, dict[str, Any]] = {}
@@ -37,7 +37,16 @@ class Watchdog(Node):
         self._began_s = time.monotonic()
         for name in names:
             self.create_subscription(OccupancyGrid, f"{name}/heartbeat", partial(self._hear, name), 5)
-        self.create_timer(CHECK_S, self._check, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self.create_timer(CHECK_S, self._check, clock=STEADY)
+        self.get_logger().info(f"{', '.join(names)} stop {self._limit_s:g} s after the last heartbeat")
+
+    def _positive(self, name: str, otherwise: float, most: float) -> float:
+        """Return a number that a parameter gives; one that makes no sense must not end who stops the vehicle."""
+        value = self.declare_parameter(name, otherwise, ParameterDescriptor(dynamic_typing=True, read_only=True)).value
+        if type(value) in (int, float) and 0.0 < value <= most:
+            return float(value)
+        self.get_logger().error(f"{name} must be a number in (0, {most:g}], got {value}; {otherwise:g} is taken")
+        return otherwise
 
     def _hear(self, name: str, heartbeat: OccupancyGrid) -> None:
         """Take where the masks lie, and withdraw what was published: destroyed, it is given to nobody any more."""

@@ -123,7 +123,8 @@ REFUSED = {
         f"view {GOOD} --html {GOOD}", f"view {GOOD} --rerun {GOOD}"
     ), REPLACED),
     f"view {GOOD} --html nothing": "path must name a file, got the folder",
-    f"view {GOOD} --sweeps 1": "--html run.html",
+    f"view {GOOD} --sweeps 1": "--html run.html", f"view {GOOD} --serve": "leave out FILES",
+    "view --serve --monitor": "on its page: leave out", "view --serve --objects": "on its page: leave out",
     f"view {GOOD} --html a --rerun b": "name one of: the page to write, --html run.html; --rerun run.rrd",
     f"estimate {GOOD} --results shp": "results must be some of png,geojson … osi,cpm, with commas, got 'shp'",
     f"estimate {GOOD} --results ''": "osi,cpm, with commas, got ''",

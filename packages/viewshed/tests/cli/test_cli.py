@@ -9,7 +9,9 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from dataclasses import replace
+from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -70,7 +72,7 @@ def test_the_demo_names_its_picture(tmp_path: Path) -> None:
     assert picture.parent == tmp_path / "demo"
 
 
-def test_info_tells_points_rings_sensor_and_ground() -> None:
+def test_info_tells_points_rings_sensor_and_ground(tmp_path: Path) -> None:
     done = run("info", junction_path())
     assert done.returncode == 0, done.stderr
     told = dict(line.split(":", 1) for line in done.stdout.splitlines())
@@ -78,6 +80,11 @@ def test_info_tells_points_rings_sensor_and_ground() -> None:
     assert "HDL-32E (inferred" in told["sensor"]
     assert told["rings"].strip().startswith("32, from file; 100.0%")
     assert abs(float(told["height"].split()[1]) - 1.84) < 0.05
+    files: Any = import_module("sweep_files")  # metadata say what the sensor is
+    capture = files.pcap([files.ip_packet(files.udp_packet(one)) for one in files.ouster_payloads()])
+    (tmp_path / "o.pcap").write_bytes(capture)
+    (tmp_path / "o.json").write_bytes(files.ouster_metadata())
+    assert "sensor:      OS-1-32 (given)" in run("info", tmp_path / "o.pcap").stdout
 
 
 def test_compare_prints_a_row_for_each_method(tmp_path: Path) -> None:

@@ -120,10 +120,10 @@ def test_sweeps_are_handed_on_when_they_are_due(monkeypatch: pytest.MonkeyPatch)
 
     monkeypatch.setattr(time, "sleep", sleep)
     monkeypatch.setattr(time, "monotonic", lambda: now[0])
-    times_ns = [0, 10**8, 3 * 10**8, 3 * 10**8, 10**12]
-    named = (Named(Sweep(np.ones((1, 3), np.float32), t_ns=t_ns), "", Path()) for t_ns in times_ns)
+    sent = [(0, "a"), (10**8, "a"), (3 * 10**8, "a"), (3 * 10**8, "b"), (3 * 10**8, "b"), (10**12, "a")]
+    named = (Named(Sweep(np.ones((1, 3), np.float32), t_ns=t_ns, agent=agent), "", Path()) for t_ns, agent in sent)
     pace = Pacer(rate=2.0)
     for k, _ in enumerate(pace.kept(named)):
         now[0] += 0.08 if k == 0 else 0.0  # the first estimate takes longer than the next sweep waits
-    assert slept == [0.0, 0.0, 0.07, 0.05, 1.0]
+    assert slept == [0.0, 0.0, 0.07, 0.0, 0.05, 1.0]  # two agents measure at once
     assert pace.time_s == pytest.approx(2.4)

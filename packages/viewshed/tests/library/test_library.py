@@ -341,19 +341,10 @@ def test_programs_find_it_by_cmake_and_by_pkg_config(prefix: Path, tmp_path: Pat
     flags = run(
         "pkg-config", "--cflags", "--libs", "viewshed", env=os.environ | {"PKG_CONFIG_PATH": str(where)}
     ).split()
-    run(
-        "cc",
-        "-Wall",
-        "-Wextra",
-        "-Werror",
-        "-std=c11",
-        source,
-        "-o",
-        tmp_path / "plain",
-        *flags,
-        f"-Wl,-rpath,{where.parent}",
-    )
+    strict = ("-Wall", "-Wextra", "-Werror", "-std=c11")
+    run("cc", *strict, source, "-o", tmp_path / "plain", *flags, f"-Wl,-rpath,{where.parent}")
     assert run(tmp_path / "plain", tmp_path / "sweep.bin").endswith(line)
+    assert subprocess.run([tmp_path / "plain", tmp_path], capture_output=True, check=False).returncode == 2  # a folder
 
 
 def test_nothing_of_python_is_in_it_and_only_the_interface_is_exported(prefix: Path) -> None:

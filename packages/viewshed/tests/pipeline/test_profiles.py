@@ -17,14 +17,6 @@ def test_a_profile_names_a_method_and_a_grid_that_exist(name: str) -> None:
     assert not profile.history or load_estimator(profile.method, grid=profile.grid).uses_history
 
 
-def test_who_may_be_lied_to_is_watched_and_trusts_later_than_others() -> None:
-    contested = PROFILES["contested"]
-    assert contested.monitor
-    assert contested.rules.recover_sweeps > RULES.recover_sweeps
-    assert contested.rules.most_suspect < RULES.most_suspect
-    assert contested.certify is not None
-
-
 def test_a_name_that_does_not_exist_and_negative_numbers_are_refused() -> None:
     with pytest.raises(ValueError, match=r"profile must be one of robot, .* got 'car'"):
         profile_named("car")

@@ -176,7 +176,9 @@ def test_the_speed_is_that_from_which_a_car_stops_in_what_is_free() -> None:
     beside = np.where(GRID.centers[..., 1] > 2.0, np.uint8(CellState.HIDDEN), np.uint8(CellState.FREE))
     assert speed_for_view(FovEstimate(GRID, np.ones(GRID.shape, np.float32), beside)) == speed_for_view(free)
     unknown = FovEstimate(GRID, np.zeros(GRID.shape, np.float32), np.zeros(GRID.shape, np.uint8))
-    assert speed_for_view(unknown) == 0.0
+    assert speed_for_view(unknown) == speed_for_view(unknown, Vehicle(front_m=-100.0)) == 0.0
+    for offset_m in ((40.0, 0.0), (0.0, 31.0), (0.0, -40.0)):  # a grid without a part of the lane does not show it free
+        assert speed_for_view(replace(free, grid=BevGrid(64, 32.0, offset_m))) == 0.0
 
 
 def test_a_short_and_narrow_vehicle_uses_what_is_free_to_it_and_one_that_cannot_stop_is_refused() -> None:

@@ -3,6 +3,8 @@
 import http.client
 import json
 import re
+import socket
+import struct
 import threading
 from collections.abc import Iterator
 from importlib import import_module
@@ -91,6 +93,18 @@ def test_a_file_that_is_too_large_is_refused_before_it_is_read(port: int) -> Non
         connection.endheaders()
         assert connection.getresponse().status == status
         connection.close()
+
+
+def test_a_browser_that_goes_before_its_file_came_is_no_fault(port: int, capfd: pytest.CaptureFixture[str]) -> None:
+    with socket.create_connection(("127.0.0.1", port)) as gone:
+        own = f"Host: 127.0.0.1:{port}\r\nOrigin: http://127.0.0.1:{port}\r\nContent-Length: 9"
+        gone.sendall(f"POST /file HTTP/1.1\r\n{own}\r\n\r\nhalf".encode())
+        gone.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))  # a reset
+    ask(port, "GET", "/")  # the one before is taken by then
+    for thread in threading.enumerate():
+        if "process_request_thread" in thread.name:
+            thread.join(20)
+    assert capfd.readouterr().err == ""
 
 
 def test_it_listens_on_loopback_alone(port: int) -> None:

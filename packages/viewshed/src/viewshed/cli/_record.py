@@ -123,7 +123,8 @@ class Listener:
         self._times = self._times or RisingTimes()
         t_ns = self._times.of(awaited.agent, awaited.sweep.t_ns)
         if self._adversary is not None:
-            self._forged |= self._adversary.agents or {awaited.agent}
+            known = {awaited.agent} if awaited.truth is None else set(awaited.truth.mounts)
+            self._forged |= self._adversary.agents or known
         moment = Moment(
             awaited.agent, t_ns, awaited.sweep, answer, awaited.truth, self._is_live, self._metrics_of(answer, awaited),
             tuple(sorted(self._forged)), done, None if self._center is None else self._center.trust.get(awaited.agent),

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from viewshed.cli import _options as options
-from viewshed.cli._options import AS_THEY_ARE, AUTO, Reading
+from viewshed.cli._options import AS_THEY_ARE, Reading
 from viewshed.cli._stream import one_sweep
 from viewshed.cli._terminal import complain
 
@@ -36,7 +36,7 @@ def info(
     leveled = level(sweep, options.parse_grid(grid))
     for doubt in doubts(leveled):
         complain(f"{file.name}: warning: {doubt}")
-    for name, value in (*_points(sweep, leveled), *_beams(sweep, reading.sensor), *_ground(sweep, leveled)):
+    for name, value in (*_points(sweep, leveled), *_beams(sweep), *_ground(sweep, leveled)):
         typer.echo(f"{name + ':':<12} {value}")
 
 
@@ -54,19 +54,18 @@ def _points(sweep: Sweep, leveled: LeveledSweep) -> Iterator[tuple[str, str]]:
     yield "azimuth", f"returns in {degrees} of 360 degrees"
 
 
-def _beams(sweep: Sweep, sensor: str) -> Iterator[tuple[str, str]]:
+def _beams(sweep: Sweep) -> Iterator[tuple[str, str]]:
     from viewshed.preprocess.ring_recovery import recover_rings
     from viewshed.preprocess.sensor_identification import infer_sensor
-    from viewshed.sensors import lidar_model
 
     if sweep.planar is not None:
         yield "plane", f"one; {len(sweep.planar.open_azimuth)} beams met nothing up to {sweep.planar.max_range_m:g} m"
         return
-    if sensor == AUTO:
+    model = sweep.model
+    if model is None and sweep.infer_sensor:
         model, score = infer_sensor(sweep.points, sweep.ring)
         name = f"{model.name} (inferred, score {score:.2f})" if model else f"not known (best score {score:.2f})"
     else:
-        model = None if sensor == "none" else lidar_model(sensor)
         name = f"{model.name} (given)" if model else "not asked for"
     yield "sensor", name
     beams = recover_rings(sweep, model)

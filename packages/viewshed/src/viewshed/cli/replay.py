@@ -33,15 +33,16 @@ class Pacer:
 
     def kept(self, sweeps: Iterable[Named]) -> Iterator[Named]:
         """Yield each sweep when it is due, at once if that is past."""
-        begun, last_ns = None, None
+        begun, last = time.monotonic(), None
         for named in sweeps:
-            if begun is None:
+            now = named.sweep
+            if last is None:
                 begun = time.monotonic()
-            else:
-                self.time_s += _period_s(last_ns, named.sweep.t_ns)
+            elif now.t_ns is None or now.t_ns != last.t_ns or now.agent == last.agent:
+                self.time_s += _period_s(last.t_ns, now.t_ns)
             if self.rate:
                 time.sleep(max(0.0, begun + self.time_s / self.rate - time.monotonic()))
-            last_ns = named.sweep.t_ns
+            last = now
             yield named
 
 

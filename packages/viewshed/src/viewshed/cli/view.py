@@ -95,8 +95,10 @@ def view(
     """
     if [html, rerun, foxglove].count(None) + (not serve) != 3:
         raise ValueError("name one of: the page to write, --html run.html; --rerun run.rrd; --foxglove PORT; --serve")
-    if serve and files:
-        raise ValueError(f"--serve takes files on its page, got {files[0]}; leave it out, or name --html")
+    of_files = (files, index, monitor, monitor_file, history, sweeps, step > 1, following != NOT_FOLLOWED)
+    if serve and any(of_files):
+        alone = "FILES, --index, --monitor, --history, --sweeps, --step, --objects, --fuse and --attack"
+        raise ValueError(f"--serve takes one file after the other on its page: leave out {alone}, or name --html")
     chosen = PipelineOptions(profile, method, grid, history=history, monitor=monitor).settings(ctx)
     network, cells = NetworkOptions(weights, passes, seed), options.parse_grid(chosen.grid)
     if serve:

@@ -196,10 +196,14 @@ def speed_for_view(estimate: FovEstimate, vehicle: Vehicle = VEHICLE) -> float:
 def _lane(grid: BevGrid, front_m: float, half_width_m: float) -> tuple[tuple[slice, slice], NDArray[np.float64]]:
     """Return the cells that the lane ahead touches, and where each of their rows begins (rows + 1,) in meters.
 
-    A cell blocks from its near side on; the last value is where the grid ends.
+    A cell blocks from its near side on; the last value is where the grid ends. What lies beside the grid is not seen: a
+    lane that is not whole on it ends at the vehicle's front.
     """
+    (x0_m, y0_m), side_m = grid.origin_m, 2 * grid.half_extent_m
+    if x0_m > front_m or y0_m > -half_width_m or y0_m + side_m < half_width_m:
+        return (slice(0), slice(0)), np.array([front_m])
     x_m, y_m = grid.centers[:, 0, 0], grid.centers[0, :, 1]
     rows, columns = x_m > front_m, np.abs(y_m) < half_width_m + grid.cell_m / 2
     begin_x, begin_y = int(rows.argmax()) if rows.any() else len(rows), int(columns.argmax())
-    near_side_m = np.append(x_m[begin_x:] - grid.cell_m / 2, grid.origin_m[0] + 2 * grid.half_extent_m)
+    near_side_m = np.append(x_m[begin_x:] - grid.cell_m / 2, x0_m + side_m)
     return (slice(begin_x, None), slice(begin_y, begin_y + int(columns.sum()))), near_side_m

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -78,6 +79,8 @@ def open_recording(path: str | os.PathLike[str], *, topic: str | None = None) ->
             MCAP file; or a file of one or more sweeps in a format of :func:`viewshed.read_sweep`.
         topic: of a bag, whose messages are read; None is all of the preferred type.
 
+    What a recording lost, as one that was cut off, is a warning.
+
     Raises:
         ValueError: nothing that is known is there.
         OSError: it cannot be read.
@@ -90,6 +93,8 @@ def open_recording(path: str | os.PathLike[str], *, topic: str | None = None) ->
             raise ValueError(f"{place}: topic goes with a bag, got {topic!r}; leave it out")
         return Recording(place, lambda: read_sweeps(place))
     source = open_sweep_source(place, topic=topic)
+    for line in source.damage():
+        warnings.warn(line, stacklevel=2)
     return Recording(place, lambda: (sweep for _, sweep in each_sweep(source)))
 
 

@@ -346,11 +346,8 @@ def test_a_folder_of_several_files_keeps_what_can_be_read(tmp_path: Path) -> Non
         "a_3.db3.zstd": bytes(pa.compress(recording_files.db3(), codec="zstd", asbytes=True)),
         "a_4.db3.zstd": bytes(pa.compress(recording_files.db3(), codec="zstd", asbytes=True)),
     })  # fmt: skip
-    source = open_source(tmp_path / "bag")
-    assert [len(sweep) for _, sweep in each_sweep(source, on_damage=lambda *_: None)] == [6] * 8
-    [line] = [line for line in source.damage() if "a_1.db3" in line]
-    assert "is damaged" in line
-    assert "a_0.db3 was not closed: what lies in a_0.db3-wal is not read" in line
+    with pytest.warns(UserWarning, match="a_0.db3 was not closed: what lies in a_0.db3-wal is .*a_1.db3 is damaged"):
+        assert [len(sweep) for sweep in open_recording(tmp_path / "bag")] == [6] * 8
 
 
 def test_packed_messages_are_unpacked_and_bounded(tmp_path: Path) -> None:
@@ -572,6 +569,7 @@ def test_laser_scans_are_sweeps_in_a_plane(tmp_path: Path, ros: Ros, write: Writ
 def test_ouster_packets_are_sweeps(tmp_path: Path, ros: Ros, write: Write, kind: str) -> None:
     packets = _ouster(ros, 3, kind)[2:]  # the first revolution is cut off
     entries: list[Entry] = [("/os/lidar_packets", k * S, packet) for k, packet in enumerate(packets)]
+    entries.insert(7, ("/os/lidar_packets", 6 * S + 1, packets[5]))  # late: the next revolution has begun
     imu = _register(ros)[kind](np.zeros(48, np.uint8))
     about = _register(ros)[STRING](sweep_files.ouster_metadata().decode())
     place = write(tmp_path / "a", [*entries, ("/os/imu_packets", 0, imu), ("/os/metadata", 1, about)])

@@ -54,6 +54,11 @@ def test_topics_of_objects_and_of_the_center(drive: list[Moment], tmp_path: Path
         assert len(found[f"/trust/{agent}"]) == 5
     assert len(found["/command_center/picture"]) == 6
     assert [json.loads(message.data) for _, message in found["/attacked_agents"]] == [["vehicle_0"]]
+    # Where all are attacked the first message names all.
+    moments: list[Moment] = []
+    listener = Listener([moments.append], Failures(), is_live=False, adversary=Following(attack="far_wall").adversary())
+    listener._record(drive[0].answer, Awaited(drive[0].agent, 0.0, drive[0].sweep, drive[0].truth), None)
+    assert list(moments[0].attacked) == agents
     moment = next(each for each in reversed(drive) if each.round is not None)
     done = moment.round
     picture = json.loads(found["/command_center/picture"][-1][1].data)

@@ -451,7 +451,8 @@ class SqliteBag:
                 self._budget.spend(len(raw))
                 yield Message(topic, kind, encoding, t_ns, str(row), raw)
         if self._log is not None and self._log.is_file() and self._log.stat().st_size:
-            raise ValueError(f"was not closed: what lies in {self._log.name} is not read; open it with sqlite3 once")
+            whole = f"sqlite3 {self._log.name.removesuffix('-wal')} 'PRAGMA wal_checkpoint(TRUNCATE)'"
+            raise ValueError(f"was not closed: what lies in {self._log.name} is not read; write it back: {whole}")
 
     def message(self, where: str) -> bytes:
         """Return the bytes of one message."""

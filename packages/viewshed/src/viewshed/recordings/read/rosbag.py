@@ -236,19 +236,20 @@ def _add_ouster(contents: _Contents, file: BagFile, path: Path, damage: list[str
     encoding = "cdr"
     decoders: dict[str, OusterDecoder | None] = {}
     turns: dict[str, list[list[_Cloud]]] = {}
-    numbers: dict[str, int] = {}
+    numbers: dict[str, tuple[int | None, int | None]] = {}  # of the revolution before, and of this one
     for message in file.messages(OUSTER):
         topic, encoding = message.topic, message.encoding
         if topic not in decoders:
             decoders[topic] = _ouster_decoder(contents, topic, path, damage)
         decode = decoders[topic]
         number = None if decode is None else decode.frame_number(_packet_of(message.raw, encoding))
-        if number is None:
+        before, now = numbers.get(topic, (None, None))
+        if number is None or number == before:  # of another kind, or late
             continue
         packet = _Cloud(topic, message.kind, message.t_ns, OUSTER_FRAME, message.where)
-        if numbers.get(topic) != number:
+        if number != now:
             turns.setdefault(topic, []).append([])
-            numbers[topic] = number
+            numbers[topic] = now, number
         turns[topic][-1].append(packet)
     for of_topic in turns.values():
         most = max(map(len, of_topic))

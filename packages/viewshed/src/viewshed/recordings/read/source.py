@@ -185,10 +185,10 @@ def each_sweep(
         source: the recording.
         scenes: which scenes; None is all of them.
         on_damage: called with the scene ("" for none) and one line for whatever cannot be read, and the rest goes on;
-            None raises instead.
+            None raises where a sweep cannot, and passes over :meth:`SweepSource.damage`.
 
     Raises:
-        ValueError: something is damaged, and ``on_damage`` is None.
+        ValueError: a sweep is damaged, and ``on_damage`` is None.
         OSError: a file cannot be read, and ``on_damage`` is None.
     """
     if on_damage is not None:

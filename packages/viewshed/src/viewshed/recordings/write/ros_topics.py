@@ -290,7 +290,8 @@ class Topic:
 
     name: str  # with ``{agent}`` where each agent has its own
     make: Callable[[RosMessages, Moment], Any]  # the message of a moment, or None where it has none
-    latched: bool = False  # written once; subscribers that join later receive it as well
+    # written once, and anew as more agents are attacked; subscribers that join later receive it as well
+    latched: bool = False
     per_time: bool = False  # written once for all agents of a time
 
 
@@ -383,7 +384,7 @@ class RosTable:
 
     def __init__(self, *, ros1: bool) -> None:
         self._messages, self._encoding = RosMessages(ros1=ros1), "ros1" if ros1 else "cdr"
-        self._sent_ns: dict[str, int] = {}
+        self._sent: dict[str, int] = {}
         self._schemas: dict[str, Schema] = {}
 
     def of(self, moment: Moment) -> Iterator[tuple[str, Schema, bytes, bool]]:
@@ -391,10 +392,10 @@ class RosTable:
         for topic in TOPICS:
             name = ros_name(topic.name.format(agent=moment.agent))
             if topic.latched or topic.per_time:
-                now_ns = moment.t_ns if topic.per_time else 0
-                if self._sent_ns.get(name) == now_ns:
+                state = moment.t_ns if topic.per_time else len(moment.attacked)
+                if self._sent.get(name) == state:
                     continue
-                self._sent_ns[name] = now_ns
+                self._sent[name] = state
             message = topic.make(self._messages, moment)
             if message is not None:
                 schema = self._schema(message.__msgtype__)

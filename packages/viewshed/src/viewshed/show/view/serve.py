@@ -11,7 +11,7 @@ import json
 import re
 import secrets
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -89,6 +89,11 @@ class _Handler(BaseHTTPRequestHandler):
     timeout = _SILENT_S
     server_version = "viewshed"
     sys_version = ""
+
+    def handle(self) -> None:
+        """Answer; a browser that goes meanwhile is no fault."""
+        with suppress(ConnectionError):
+            super().handle()
 
     def do_GET(self) -> None:
         """Answer with the page to try, or one that was made."""
