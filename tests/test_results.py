@@ -62,7 +62,7 @@ def test_numbers_on_top_facts_at_the_foot() -> None:
 
 def test_what_is_left_out_stands_in_the_file_beside(tmp_path: Path) -> None:
     text = _worlds()
-    write_page(tmp_path / "new" / "wild.md", text)
+    assert write_page(tmp_path / "new" / "wild", text) == tmp_path / "new" / "wild.md"
     assert (tmp_path / "new" / "wild_full.md").read_text("utf-8") == text
     short = (tmp_path / "new" / "wild.md").read_text("utf-8")
     assert "indoor, car" not in short

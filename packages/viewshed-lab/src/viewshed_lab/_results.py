@@ -140,11 +140,12 @@ def page_files(name: str, markdown: str) -> dict[str, str]:
     return {f"{name}.md": short} | ({f"{name}_full.md": markdown} if short != markdown else {})
 
 
-def write_page(path: Path, markdown: str) -> None:
-    """Write a page, shortened, and the whole of it beside it where that left anything out."""
+def write_page(path: Path, markdown: str) -> Path:
+    """Write a page as a .md, shortened, the whole of it beside it where that left anything out, return its place."""
     path.parent.mkdir(parents=True, exist_ok=True)
     for name, text in page_files(path.stem, markdown).items():
         write_atomic(path.parent / name, text.encode())
+    return path.with_name(f"{path.stem}.md")
 
 
 def _without_rows(patterns: Sequence[str], address: str, table: str) -> str:

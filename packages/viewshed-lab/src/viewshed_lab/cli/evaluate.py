@@ -207,5 +207,4 @@ def _tell(text: str, out: Path | None) -> None:
     else:
         from viewshed_lab._results import write_page
 
-        write_page(out, text)
-        typer.echo(f"wrote {out}")
+        typer.echo(f"wrote {write_page(out, text)}")

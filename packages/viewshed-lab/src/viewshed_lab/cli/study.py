@@ -180,13 +180,13 @@ def spoofing(
         raise ValueError(f"--key must be numbers of sweeps of one trace, got {key!r} for {len(traces)} traces")
     watching = stream_monitor(monitor_file)
     called = [one for trace in traces for one in call_trace(trace, watching, numbers)]
-    write_page(out, trace_page(called, watching.limit, watching.per_hour))
+    written = write_page(out, trace_page(called, watching.limit, watching.per_hour))
     counts = [
         f"{sum(one.inconsistent for one in some)} of {len(some)} {what}"
         for is_spoofed, what in ((True, "spoofed sweeps"), (False, "honest sweeps"), (None, "sweeps without a --key"))
         if (some := [one for one in called if one.is_spoofed is is_spoofed])
     ]
-    typer.echo(f"called: {', '.join(counts)}; look at {out}")
+    typer.echo(f"called: {', '.join(counts)}; look at {written}")
 
 
 @study_app.command()
@@ -228,8 +228,8 @@ def cases(
     from viewshed_lab._results import write_page
     from viewshed_lab.studies.published_cases import cases_page
 
-    write_page(page, cases_page(scenes, progress=lambda title: typer.echo(f"{title} …")))
-    typer.echo(f"Look at {page}")
+    written = write_page(page, cases_page(scenes, progress=lambda title: typer.echo(f"{title} …")))
+    typer.echo(f"Look at {written}")
 
 
 @study_app.command()
