@@ -138,6 +138,16 @@ def test_boxes_of_kitti_are_judged_by_the_returns_in_them(tmp_path: Path) -> Non
     assert _rows(page, "Vehicles without a return")["shadow_map"] == ["–", "–", ".000 of 1", "–"]
 
 
+def test_a_damaged_sweep_costs_no_other(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    kitti.write_objects(tmp_path, {"000007": kitti.made(7), "000008": kitti.made(8)})
+    damaged = next(tmp_path.rglob("000008.bin"))
+    damaged.write_bytes(damaged.read_bytes()[:-3])
+    with pytest.raises(SystemExit) as done:
+        main(["evaluate", "boxes", str(tmp_path), "--methods", "shadow_map", "--out", str(tmp_path / "page.md")])
+    assert (done.value.code, "1 sweeps of" in (tmp_path / "page.md").read_text()) == (2, True)
+    assert "000008.bin" in capsys.readouterr().err
+
+
 def test_a_recording_without_boxes_is_refused_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     tables = nuscenes.write_tree(tmp_path, [(nuscenes.made(0), 10**6, nuscenes.WORLD[0])])
     nuscenes.put(tmp_path / "v1.0-mini", {**tables, "sample_annotation": []})

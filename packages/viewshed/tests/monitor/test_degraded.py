@@ -81,7 +81,11 @@ def test_a_dead_beam_between_others_and_an_empty_direction() -> None:
 
 def test_returns_that_no_beam_makes_are_impossible() -> None:
     sweep = look(YARD)
-    assert impossible_reasons(_leveled(sweep)) == ()
+    # Under an open sky few beams return; a driver may write zeros for the others.
+    padded = np.concatenate([sweep.points, np.zeros((20 * len(sweep), 3), np.float32)])
+    covered = np.where(padded == 0.0, np.float32(0.2), padded)
+    assert impossible_reasons(_leveled(sweep)) == impossible_reasons(_leveled(Sweep(padded, model=sweep.model))) == ()
+    assert "blinded or covered" in impossible_reasons(_leveled(Sweep(covered, model=sweep.model)))[0]
     above = np.tile(np.array([3.0, 1.0, 9.0], np.float32), (len(sweep) // 20, 1))
     forged = Sweep(np.concatenate([sweep.points, above]), model=sweep.model)
     assert "above or below all beams" in impossible_reasons(_leveled(forged))[0]

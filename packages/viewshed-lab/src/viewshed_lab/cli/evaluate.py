@@ -151,11 +151,15 @@ def boxes(
 
     Example: viewshed evaluate boxes nuscenes --limit 100 --out boxes.md
     """
+    from viewshed.cli._outputs import Failures
     from viewshed.fov.visibility import CAR
     from viewshed.recordings.read import open_source
     from viewshed_lab.studies.judges import boxes_page
 
-    _tell(boxes_page(recording, open_source(recording), _estimators(methods), CAR, limit), out)
+    failures = Failures()
+    _tell(boxes_page(recording, open_source(recording), _estimators(methods), CAR, limit, failures.report), out)
+    if failures.count:
+        raise typer.Exit(2)
 
 
 @evaluate_app.command()

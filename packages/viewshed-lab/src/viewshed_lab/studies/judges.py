@@ -28,6 +28,8 @@ from viewshed_lab._page import facts
 from viewshed_lab.studies.formatting import by_name, format_number, format_rate, lines, pivot
 from viewshed_lab.studies.pages import Table, fill_template
 
+OnError = Callable[[str, Exception], None]
+
 OFF_M = 0.3
 """A claim on ground that lies farther than this from the surveyed one is of another place."""
 
@@ -156,14 +158,19 @@ def surveyed(
 
 
 def boxes_page(
-    place: Path, source: SweepSource, estimators: Mapping[str, FovEstimator], target: Target, limit: int
+    place: Path,
+    source: SweepSource,
+    estimators: Mapping[str, FovEstimator],
+    target: Target,
+    limit: int,
+    on_error: OnError,
 ) -> str:
-    """Return the page of a recording with boxes that people drew.
+    """Return the page of a recording with boxes that people drew; sweeps that cannot be read are told and left out.
 
     Raises:
         ValueError: nobody drew boxes in it.
     """
-    sweeps = list(annotated(source, limit))
+    sweeps = list(annotated(source, limit, on_error))
     if not any(boxes for _, boxes in sweeps):
         raise ValueError(f"{place}: must hold annotated boxes, got {len(sweeps)} sweeps without one")
     page = fill_template(
@@ -173,12 +180,24 @@ def boxes_page(
     return page.markdown(facts(recording=place.name, target=target.name))
 
 
-def annotated(source: SweepSource, limit: int | None) -> Iterable[tuple[Sweep, Sequence[ObjectBox]]]:
-    """Yield sweeps of a recording with their boxes: keyframes, at most ``limit``, spread evenly."""
+def annotated(
+    source: SweepSource, limit: int | None, on_error: OnError | None = None
+) -> Iterable[tuple[Sweep, Sequence[ObjectBox]]]:
+    """Yield sweeps of a recording with their boxes: keyframes, at most ``limit``, spread evenly.
+
+    ``on_error`` takes the file and the error of what cannot be read, and the rest goes on; without it that is raised.
+    """
     refs = [ref for scene in source.scenes() for ref in source.refs(scene) if ref.keyframe]
     count = len(refs) if limit is None else min(limit, len(refs))
     for ref in (refs[k * len(refs) // count] for k in range(count)):
-        yield source.read(ref), source.boxes(ref) or ()
+        try:
+            found = source.read(ref), source.boxes(ref) or ()
+        except (ValueError, OSError) as error:
+            if on_error is None:
+                raise
+            on_error(ref.file, error)
+        else:
+            yield found
 
 
 def ground_errors(leveled: LeveledSweep, xy: F64, error_m: F64) -> pd.DataFrame:

@@ -39,7 +39,8 @@ def impossible_reasons(leveled: LeveledSweep) -> tuple[str, ...]:
     reasons = []
     if len(leveled.points) < LEAST_RETURNS:
         reasons.append(f"the sweep has {len(leveled.points)} usable returns: empty, covered or jammed")
-    near = float((range_m < BLINDED_M).mean()) if len(range_m) else 0.0
+    returned_m = range_m[range_m > 0.0]  # drivers write zeros for beams without a return
+    near = float((returned_m < BLINDED_M).mean()) if len(returned_m) else 0.0
     if near > BLINDED_SHARE:
         reasons.append(f"{near:.0%} of the returns lie within {BLINDED_M:g} m: the sensor is blinded or covered")
     out_of_time = share_out_of_time(sweep)
