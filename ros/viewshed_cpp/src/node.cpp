@@ -1,5 +1,4 @@
 // The field of view of a LiDAR, live: a composable node without Python. Clouds in, grids out, each in its own time.
-#include <limits>
 #include <memory>
 #include <optional>
 #include <stdexcept>
@@ -19,10 +18,9 @@ public:
   : Node("field_of_view", options)
   {
     // 1. Parameters; the names are those of the Python node.
-    const double nan = std::numeric_limits<double>::quiet_NaN();
     model_ = declare_parameter<std::string>("model", "auto");
     ring_field_ = declare_parameter<std::string>("ring_field", "");
-    height_m_ = declare_parameter<double>("height_m", nan);
+    height_m_ = declare_parameter<double>("height_m", 0.0);
     options_.cells = std::uint32_t(declare_parameter<int>("cells", int(options_.cells)));
     options_.half_extent_m = declare_parameter<double>("half_extent_m", options_.half_extent_m);
     options_.sensor = model_ == "auto" ? nullptr : model_.c_str();
@@ -43,7 +41,7 @@ private:
     if (!wants_visibility && !wants_state) {return;}
     try {
       viewshed_sweep sweep = sweep_of(cloud, ring_field_);
-      sweep.sensor_height_m = height_m_;
+      if (height_m_ != 0.0) {sweep.sensor_height_m = height_m_;}  // 0: it is estimated
       const viewshed::Estimate estimate = stream_->estimate(sweep);
       if (wants_visibility) {
         visibility_->publish(std::make_unique<nav_msgs::msg::OccupancyGrid>(

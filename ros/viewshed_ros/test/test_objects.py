@@ -248,7 +248,7 @@ def test_cubes_are_detections_again_and_can_be_forged(graph: Graph) -> None:
     ],
 )
 def test_an_agent_without_key_or_poses_is_refused(
-    graph: Graph, tmp_path: Path, given: dict[str, Any], message: str
+    capfd: pytest.CaptureFixture[str], graph: Graph, tmp_path: Path, given: dict[str, Any], message: str
 ) -> None:
     if "agent_key" in given:
         key = tmp_path / "key"
@@ -256,8 +256,6 @@ def test_an_agent_without_key_or_poses_is_refused(
         key.chmod(0o600)
         given = given | {"agent_key": str(key)}
     node = FieldOfView(parameter_overrides=parameters(monitor="never", **given), namespace="other")
-    lines: list[str] = []
-    node.get_logger().error = lines.append  # type: ignore[method-assign]
     assert node.trigger_configure() == TransitionCallbackReturn.FAILURE
     node.destroy_node()
-    assert not lines or message in lines[-1]
+    assert message in capfd.readouterr().err
