@@ -1,8 +1,8 @@
-"""Put a study's networks into the laboratory, in bytes, and write their page: ``python tools/ship_study.py STUDY``.
+"""Put a study's networks into the laboratory and write their page: ``python tools/ship_study.py STUDY``.
 
 The networks are those of the paper's protocol. Each is quantized as ``viewshed quantize`` does it and written with its
-checksum into ``viewshed_lab/networks``; one that would lose more than .002 F1 is left out, with a line and exit code 1.
-The page says of each what it is, how it was trained, and what it scored in the study.
+checksum into ``viewshed_lab/networks``; one that would lose more than .002 F1 stays in float32. The page says of each
+what it is, how it was trained, and what it scored in the study.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ from viewshed_lab.training.calibrate_int8 import FRAMES, QuantizationCost, quant
 OUT = Path(__file__).resolve().parents[1] / "docs" / "results" / "models.md"
 
 
-def main(words: Sequence[str] | None = None) -> int:
-    """Quantize, copy and list the networks, write the page, and return the exit code."""
+def main(words: Sequence[str] | None = None) -> None:
+    """Quantize, copy and list the networks, and write the page."""
     parser = argparse.ArgumentParser(prog="ship_study.py", description=__doc__)
     parser.add_argument("study", type=Path, help="folder of a finished study paper")
     parser.add_argument("--preset", default="medium", help="its plan")
@@ -43,31 +43,25 @@ def main(words: Sequence[str] | None = None) -> int:
     parser.add_argument("--page", type=Path, default=OUT)
     chosen = parser.parse_args(words)
     store = ResultStore.open(chosen.study, PaperPlan.load(chosen.preset))
-    left_out = ship_study(store, chosen.frames, chosen.folder, chosen.page)
-    for line in left_out:
-        print(line, file=sys.stderr)
-    return 1 if left_out else 0
+    ship_study(store, chosen.frames, chosen.folder, chosen.page)
 
 
-def ship_study(store: ResultStore[PaperPlan], frames: int, folder: Path, page: Path) -> list[str]:
-    """Ship the networks of the paper's protocol, write their page, and return a line for each that is left out."""
-    results, files, models, left_out = PaperResults.read(store), list[list[str]](), list[Model](), list[str]()
-    every = store.plan.models([PAPER])
-    missing = [model.name for model in every if model.key[1:] not in results.models]
+def ship_study(store: ResultStore[PaperPlan], frames: int, folder: Path, page: Path) -> None:
+    """Ship the networks of the paper's protocol, in bytes where that costs little, and write their page."""
+    results, files, models = PaperResults.read(store), list[list[str]](), store.plan.models([PAPER])
+    missing = [model.name for model in models if model.key[1:] not in results.models]
     if missing:
         raise ValueError(f"{store.folder} must hold all networks of the paper's protocol, got no {', '.join(missing)}")
-    for model in every:
+    for model in models:
         config = config_of(store.plan, store.folder, model)
         with tempfile.TemporaryDirectory() as place:
-            small = Path(place) / "network.onnx"
+            file, costs = Path(place) / "network.onnx", list[QuantizationCost]()
             try:
-                costs = quantize(config, weights_of(store.folder, model), small, frames)
+                costs = quantize(config, weights_of(store.folder, model), file, frames)
             except ValueError as error:
-                left_out.append(f"{config.name} is left out: {error}")
-                continue
-            size = small.stat().st_size
-            files.append(_file_row(ship(small, config.name, (), folder), size, costs))
-            models.append(model)
+                print(f"{config.name} stays in float32: {error}", file=sys.stderr)
+                file = weights_of(store.folder, model)
+            files.append(_file_row(ship(file, config.name, (), folder), file.stat().st_size, costs))
     values = {
         "plan": store.plan, "files": table(["name", "KB", "SHA-256", "grid", "F1 lost to bytes, by passes"], files),
         "trainings": table(
@@ -81,11 +75,10 @@ def ship_study(store: ResultStore[PaperPlan], frames: int, folder: Path, page: P
     }  # fmt: skip
     filled = fill_template("paper/models.md", **values)
     write_page(page, filled.markdown(facts(**provenance(results, PAPER))))
-    return left_out
 
 
 def _file_row(line: ShippedWeights, size: int, costs: Sequence[QuantizationCost]) -> list[str]:
-    lost = ", ".join(f"{cost.passes}: {cost.f1 - cost.f1_int8:.4f}" for cost in costs)
+    lost = ", ".join(f"{cost.passes}: {cost.f1 - cost.f1_int8:.4f}" for cost in costs) or "in float32"
     grid = f"{line.cells} × {line.cells}, ±{line.half_extent_m:g} m"
     return [f"`{line.name}`", f"{size / 1000:.0f}", f"`{line.sha256[:12]}…`", grid, lost]
 
@@ -113,4 +106,4 @@ def _score_row(results: PaperResults, model: Model) -> list[str]:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

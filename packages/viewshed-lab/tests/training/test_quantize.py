@@ -14,6 +14,7 @@ from tests.networks.made import card, drawn
 from viewshed.networks.architecture import UNetShape
 from viewshed.networks.card import INT8
 from viewshed.networks.runtime import OnnxRunner
+from viewshed_lab.training import quantize
 from viewshed_lab.training.onnx_export import export_onnx
 from viewshed_lab.training.quantize import quantize_network
 
@@ -53,6 +54,21 @@ def test_a_network_in_bytes_says_nearly_what_it_said(shape: UNetShape, counts: s
     assert spread[1] == pytest.approx(spread[0], rel=0.15, abs=1e-6)
     if shape.dropout:
         assert spread[0] > 0.002
+
+
+def test_corrected_biases_take_back_what_rounding_adds_on_average(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where most cells are empty, they are alike: rounding shifts all of them one way."""
+    shape, frames = UNetShape(8, 3, 0.0), [np.where(each < 200, 0, each - 190).astype(np.uint8) for each in maps(12)]
+    whole, _ = made(shape, tmp_path, "linear")
+    content, off = (tmp_path / "linear.onnx").read_bytes(), list[float]()
+    expected = whole.run(np.stack([whole.card.shown(each) for each in frames]))
+    for correct in (quantize._correct_biases, lambda *_: None):
+        monkeypatch.setattr(quantize, "_correct_biases", correct)
+        small = OnnxRunner.of_content(quantize_network(content, "made", frames), "bytes", 1)
+        off.append(abs(float((small.run(np.stack([small.card.shown(each) for each in frames])) - expected).mean())))
+    assert off[0] < 0.3 * off[1]
 
 
 def test_the_engine_computes_what_the_graph_says(tmp_path: Path) -> None:

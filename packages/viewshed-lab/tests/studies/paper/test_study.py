@@ -143,12 +143,12 @@ def test_pages_hold_targets_facts_and_figures(
     } <= set(files_of(results, "paper"))  # fmt: skip
 
 
-def test_networks_are_shipped_in_bytes_with_a_page_and_one_that_loses_too_much_is_left_out(
+def test_networks_are_shipped_in_bytes_with_a_page_and_those_that_would_lose_too_much_in_float32(
     study: tuple[ResultStore[PaperPlan], Steps], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (store, _), tool = study, import_module("ship_study")
     monkeypatch.setattr(calibrate_int8, "MAX_F1_LOSS", 1.0)
-    assert tool.ship_study(store, 1, tmp_path, tmp_path / "models.md") == []
+    tool.ship_study(store, 1, tmp_path, tmp_path / "models.md")
     page, lines = (tmp_path / "models.md").read_text("utf-8"), manifest(tmp_path)
     assert set(lines) == {f"paper-{model.name}" for model in PLAN.models(["paper"])}
     results = PaperResults.read(store)
@@ -161,9 +161,11 @@ def test_networks_are_shipped_in_bytes_with_a_page_and_one_that_loses_too_much_i
         f1 = results.pairs.counts(Series("ugv", name.removeprefix("paper-"), case, protocol="paper")).f1
         assert re.search(rf"\| `{name}` \| ugv, {mixture} \|.* {format_rate(f1)} \| – \|", page)
     monkeypatch.setattr(calibrate_int8, "MAX_F1_LOSS", -1.0)
-    left_out = tool.ship_study(store, 1, tmp_path / "none", tmp_path / "models.md")
-    assert [line.partition(" is left out: F1 in bytes must be")[0] for line in left_out] == list(lines)
-    assert not (tmp_path / "none").exists()
+    tool.ship_study(store, 1, tmp_path / "whole", tmp_path / "models.md")
+    whole = manifest(tmp_path / "whole")
+    assert {OnnxRunner(tmp_path / "whole" / line.file, 1).card.precision for line in whole.values()} == {"f32"}
+    assert list(whole) == list(lines)
+    assert (tmp_path / "models.md").read_text("utf-8").count("| in float32 |") == len(whole)
 
 
 def test_pages_say_what_is_missing(study: tuple[ResultStore[PaperPlan], Steps], tmp_path: Path) -> None:
