@@ -22,6 +22,9 @@ from viewshed_lab.training.quantize import quantize_network
 SHAPES = [UNetShape(4, 2, 0.3), UNetShape(2, 1, 0.5), UNetShape(3, 3, 0.2), UNetShape(4, 3, 0.0)]
 SHIPPED = sorted(path.stem for path in WEIGHTS.glob("*.onnx"))
 
+LOGIT = 17.872940063476562
+"""ONNX Runtime's sigmoid of this number is 1.0000001."""
+
 
 def content_of(shape: UNetShape) -> bytes:
     return with_checksum(onnx_model(card(shape), drawn(shape)).SerializeToString())
@@ -47,6 +50,15 @@ def evaluated(content: bytes, **given: Any) -> np.ndarray[Any, np.dtype[Any]]:
     session = onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
     found: np.ndarray[Any, np.dtype[Any]] = session.run(["probability"], given)[0]
     return found
+
+
+def test_no_probability_is_above_one_where_the_sigmoid_of_the_engine_is() -> None:
+    module = drawn(SHAPES[0])
+    module.head.weight.data.zero_()
+    module.head.get_parameter("bias").data.fill_(LOGIT)
+    runner = OnnxRunner.of_content(with_checksum(onnx_model(card(SHAPES[0]), module).SerializeToString()), "made", 1)
+    for masks in (None, SHAPES[0].no_masks(2)):
+        assert (runner.run(inputs(2), masks) == 1.0).all()
 
 
 @pytest.mark.parametrize("shape", SHAPES, ids=str)

@@ -302,8 +302,8 @@ def _correct_biases(quantized: _QdqGraph, frames: Sequence[Bytes]) -> None:
     for name, mean in wanted.items():
         before = quantized.nodes[: places[f"{name}_wide"] + 1]
         error = means(before, quantized.constants, [f"{name}_wide"], TensorProto.UINT8)[f"{name}_wide"] - mean
-        steps = np.round(error / quantized.constants[f"{name}_bias_scale"]).astype(np.int32)
-        quantized.constants[f"{name}_bias"] = quantized.constants[f"{name}_bias"] - steps
+        bias, scale = (np.asarray(quantized.constants[f"{name}_bias{end}"], np.float64) for end in ("", "_scale"))
+        quantized.constants[f"{name}_bias"] = np.round(bias - error / scale).astype(np.int32)
 
 
 def _quantize_graph(graph: ChannelsLastGraph, frames: Sequence[Bytes]) -> onnx.ModelProto:
