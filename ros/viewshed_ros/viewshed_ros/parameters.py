@@ -324,13 +324,13 @@ def _sensor(node: Node, name: str) -> SensorSettings:
 def declare_table(node: Node, table: dict[str, Parameter], *, fixed: bool = False) -> None:
     """Declare the parameters of a table that are not declared yet, all of them as fixed where that is wished."""
     for name, parameter in table.items():
-        parameter = replace(parameter, fixed=fixed or parameter.fixed)  # noqa: PLW2901
+        declared = replace(parameter, fixed=fixed or parameter.fixed)
         if not node.has_parameter(name):
             try:
-                node.declare_parameter(name, parameter.default, parameter.descriptor())
+                node.declare_parameter(name, declared.default, declared.descriptor())
             except (InvalidParameterTypeException, InvalidParameterValueException):
                 # Reported when it is read, so that it can be mended.
-                node.declare_parameter(name, parameter.default, parameter.descriptor(is_strict=False))
+                node.declare_parameter(name, declared.default, declared.descriptor(is_strict=False))
 
 
 def values_of(node: Node, table: dict[str, Parameter]) -> dict[str, Any]:

@@ -145,7 +145,7 @@ def write_page(path: Path, markdown: str) -> Path:
     path.parent.mkdir(parents=True, exist_ok=True)
     for name, text in page_files(path.stem, markdown).items():
         write_atomic(path.parent / name, text.encode())
-    return path.with_name(f"{path.stem}.md")
+    return path.with_suffix(".md")
 
 
 def _without_rows(patterns: Sequence[str], address: str, table: str) -> str:

@@ -42,6 +42,9 @@ _MOST_HEIGHT_M = 100.0
 
 _MOST_AZIMUTH = 2 * np.pi + 1e-3
 
+LATEST_S = 9e9
+"""Times in seconds that are smaller fit int64 in nanoseconds."""
+
 _COLUMNS = ("points", "intensity", "ring", "azimuth", "time_s")
 
 _MOST_COLUMNS = 16

@@ -158,14 +158,10 @@ def surveyed(
 
 
 def boxes_page(
-    place: Path,
-    source: SweepSource,
-    estimators: Mapping[str, FovEstimator],
-    target: Target,
-    limit: int,
+    place: Path, source: SweepSource, estimators: Mapping[str, FovEstimator], target: Target, limit: int,
     on_error: OnError,
-) -> str:
-    """Return the page of a recording with boxes that people drew; sweeps that cannot be read are told and left out.
+) -> str:  # fmt: skip
+    """Return the page of a recording with annotated boxes; sweeps that cannot be read are reported and left out.
 
     Raises:
         ValueError: nobody drew boxes in it.

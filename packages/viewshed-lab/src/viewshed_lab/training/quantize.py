@@ -90,8 +90,6 @@ def to_channels_last(model: onnx.ModelProto, card: NetworkCard) -> ChannelsLastG
             graph.add("MaxPool", [x], output, kernel_shape=[2, 2], strides=[2, 2])
         elif node.op_type != "Squeeze":
             _copy_node(graph, node)
-    used = {name for node in graph.nodes for name in node.input}
-    graph.constants = {name: value for name, value in graph.constants.items() if name in used}
     return graph
 
 

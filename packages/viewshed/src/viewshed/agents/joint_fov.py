@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from viewshed.arrays import F64, Mask
-from viewshed.fov.estimate import THRESHOLD, CellState, FovEstimate
+from viewshed.fov.estimate import THRESHOLD, CellState, FovEstimate, is_visible
 from viewshed.fov.union import claimed_at
 from viewshed.geometry import Rigid
 from viewshed.grid import BevGrid
@@ -72,8 +72,7 @@ def _seen_at(
 ) -> tuple[F64, NDArray[np.uint8], Mask]:
     """Return weighted probability and state (cells, cells) that a view claims, and where it claims to see."""
     prob, state = claimed_at(view, grid, world_from_grid)
-    visible = (state == CellState.FREE) | (state == CellState.SURFACE)
-    return weight * prob, state, visible & (weight * prob >= max(view.threshold, THRESHOLD))
+    return weight * prob, state, is_visible(state) & (weight * prob >= max(view.threshold, THRESHOLD))
 
 
 def confirmed(

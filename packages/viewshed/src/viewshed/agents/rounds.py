@@ -386,13 +386,16 @@ class Rounds:
         So an agent that reports often, and opens rounds, draws no others into them. How near a round is says its
         nearest report: the median of two, of which one agent sets one, would set apart who reports of one time.
         """
-        fitting = []
-        for each in self._open:
-            apart_s = np.abs(np.array(each.times_s)[:, int(stated)] - t_s)
-            middle_s = abs((each.stated_s if stated else each.t_s) - t_s)
-            if agent not in each.reports and middle_s <= self.slop_s:
-                fitting.append((max(float(apart_s.min()), self.slop_s / 2), -len(each.reports), middle_s, each))
-        return min(fitting, key=lambda row: row[:3], default=(None,))[-1]
+
+        def apart_s(each: _OpenRound) -> float:
+            return abs((each.stated_s if stated else each.t_s) - t_s)
+
+        def order(each: _OpenRound) -> tuple[float, int, float]:
+            nearest_s = min(abs(times_s[stated] - t_s) for times_s in each.times_s)
+            return max(nearest_s, self.slop_s / 2), -len(each.reports), apart_s(each)
+
+        fitting = [each for each in self._open if agent not in each.reports and apart_s(each) <= self.slop_s]
+        return min(fitting, key=order, default=None)
 
     def _ended(self) -> list[Round]:
         """Return the open rounds, one after the other, that wait for nobody any more."""

@@ -31,7 +31,7 @@ from viewshed import _core
 from viewshed.agents.registration import agent_bit, pose_numbers, surface_cells
 from viewshed.agents.report import AgentReport
 from viewshed.arrays import F64, Mask
-from viewshed.fov.estimate import CellState
+from viewshed.fov.estimate import CellState, is_visible
 from viewshed.fov.height_map import HeightMap
 from viewshed.grid import BevGrid
 from viewshed.objects.cells import COARSE, footprint_points
@@ -89,7 +89,7 @@ class ComparedView:
         self.state = report.estimate.state
         self.lattice = _lattice(grid)
         states = self.state.reshape(-1)[_lattice_numbers(grid)]
-        self.visible = (states == CellState.FREE) | (states == CellState.SURFACE)
+        self.visible = is_visible(states)
         self.surfaces = surface_cells(report.estimate, NEAREST_M, FARTHEST_M)
         surfaces, free = _some(self.surfaces), _some(self.lattice[states == CellState.FREE])
         level, is_free = np.concatenate([surfaces, free]), np.arange(len(surfaces) + len(free)) >= len(surfaces)

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from viewshed.estimators.base import BatchSteps, EarlierSweeps, Estimator
-from viewshed.fov.estimate import CellState, FovEstimate
+from viewshed.fov.estimate import CellState, FovEstimate, is_visible
 from viewshed.fov.visibility import Target
 from viewshed.grid import BevGrid
 from viewshed.preprocess.basis import basis_of
@@ -204,8 +204,7 @@ def where_confirmed(estimate: FovEstimate, history: History | None) -> FovEstima
     confirmed = np.zeros(estimate.grid.shape, np.bool_)
     if history is not None:
         confirmed = history.confirmations(estimate.grid, estimate.target) > 0
-    claimed = (estimate.state == CellState.FREE) | (estimate.state == CellState.SURFACE)
-    state = np.where(claimed & ~confirmed, np.uint8(CellState.UNKNOWN), estimate.state)
+    state = np.where(is_visible(estimate.state) & ~confirmed, np.uint8(CellState.UNKNOWN), estimate.state)
     # What is left of the claims may rest on other shares of unsure ground and inferred beams.
     basis = estimate.basis and replace(estimate.basis, unsure_ground_share=0.0, inferred_share=0.0)
     if history is not None:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from viewshed import _core, _outputs
 from viewshed._files import write_atomic
-from viewshed.arrays import frozen, whole
+from viewshed.arrays import Mask, frozen, whole
 from viewshed.fov.visibility import CAR, Target
 from viewshed.geometry import FloatArray, Rigid
 from viewshed.grid import BevGrid
@@ -50,6 +50,11 @@ class CellState(IntEnum):
     """Visible, and the first surface that the beams meet."""
     HIDDEN = 3
     """Inside range and coverage, but blocked by something nearer."""
+
+
+def is_visible(states: NDArray[np.uint8]) -> Mask:
+    """Return where states (…) are FREE or SURFACE."""
+    return np.asarray((states == CellState.FREE) | (states == CellState.SURFACE))
 
 
 @dataclass(frozen=True, slots=True)

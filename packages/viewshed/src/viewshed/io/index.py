@@ -11,6 +11,7 @@ from typing import Any
 from viewshed.geometry import Rigid
 from viewshed.io._input import inside, open_input
 from viewshed.io._json import json_rows
+from viewshed.sweep import LATEST_S
 
 _ENTRIES_MAX = 50_000
 
@@ -66,7 +67,7 @@ def _entry(folder: Path, position: int, entry: Any) -> IndexEntry:
 
 def _seconds(value: Any) -> float:
     seconds = float(value)
-    if not abs(seconds) < 9e9:
+    if not abs(seconds) < LATEST_S:
         raise ValueError(f"t must be seconds that fit int64 in nanoseconds, got {seconds:g}")
     return seconds
 

@@ -18,7 +18,7 @@ from viewshed.io.formats import is_recording
 from viewshed.recordings.read._kitti_files import rigid_named, world_from_imu
 from viewshed.recordings.read.source import problems_of
 from viewshed.recordings.read.tf_tree import between, nearest
-from viewshed.sweep import Sweep
+from viewshed.sweep import LATEST_S, Sweep
 
 _KITTI_NUMBERS, _TUM_NUMBERS = 12, 8
 
@@ -266,7 +266,7 @@ def _words(line: str) -> list[str]:
 
 
 def _nanoseconds(seconds: NDArray[np.float64]) -> NDArray[np.int64]:
-    if np.abs(seconds).max(initial=0.0) >= 9e9:  # beyond int64 in nanoseconds, as in other units since 1970
+    if np.abs(seconds).max(initial=0.0) >= LATEST_S:  # as in other units since 1970
         raise ValueError(f"times must be seconds, got {seconds[np.abs(seconds).argmax()]:.0f}")
     return np.round(seconds * 1e9).astype(np.int64)
 
