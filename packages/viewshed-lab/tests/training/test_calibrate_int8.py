@@ -53,6 +53,19 @@ def test_a_network_is_quantized_and_compared(fresh: tuple[TrainConfig, Path], tm
     assert (tmp_path / "again.onnx").read_bytes() == (tmp_path / "bytes.onnx").read_bytes()
 
 
+def test_counting_stops_early_where_few_cells_with_many_returns_set_the_step_of_all(
+    fresh: tuple[TrainConfig, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """This network asks whether there are returns, not how many; beside the sensor are hundreds a cell."""
+    config = replace(fresh[0], counts="linear")
+    export_onnx(tmp_path / "net.onnx", config.card(), nearby(config.card().shape))
+    early, *_ = quantize(config, tmp_path / "net.onnx", tmp_path / "early.onnx", 3)
+    assert OnnxRunner(tmp_path / "early.onnx", 1).card.clip < config.card().clip == 255
+    monkeypatch.setattr(module, "_CLIPS", ())
+    late, *_ = quantize(config, tmp_path / "net.onnx", tmp_path / "late.onnx", 3)
+    assert early.mean_difference < 0.5 * late.mean_difference
+
+
 @pytest.mark.parametrize("variant", ["mle", "mcd"])
 def test_a_network_of_the_papers_label_is_checked_by_that_label_on_its_own_grid(
     config: TrainConfig, tmp_path: Path, variant: str, monkeypatch: pytest.MonkeyPatch

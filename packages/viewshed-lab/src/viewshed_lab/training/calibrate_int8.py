@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -11,6 +11,7 @@ import numpy as np
 from viewshed._files import write_atomic
 from viewshed.estimators.unet import PASSES
 from viewshed.metrics import Scores
+from viewshed.networks.card import Bytes
 from viewshed.networks.mc_dropout import mean_and_deviation
 from viewshed.networks.runtime import OnnxRunner
 from viewshed.sweep import Sweep
@@ -25,6 +26,9 @@ MAX_F1_LOSS = 0.002
 
 FRAMES = 64
 """Sweeps that calibrate, and as many others that check, unless other numbers are given."""
+
+_CLIPS, _CHOOSING = (127, 63, 31, 15), 8
+"""Counts above which a network in bytes may stop counting, beside its own limit; sweeps on which each is tried."""
 
 _EPOCH, _FRESH, _STEP = 0x62797465, 0x7665777368, 8
 """Seeds, and the step in the numbers of new frames: the shipped weights were calibrated with these."""
@@ -70,7 +74,8 @@ def quantize(config: TrainConfig, network: str | Path, out: str | Path, frames: 
     drawn = _draw(config, 2 * frames)
     calibration_maps = [next(drawn).maps for _ in range(frames)]
     training_facts = {"calibration": f"{frames} sweeps of {', '.join(config.data)}, {config.attack_share:.0%} attacked"}
-    small = quantize_network(content, str(network), calibration_maps, training_facts)
+    clip = _choose_clip(content, whole, calibration_maps) if whole.card.counts == "linear" else None
+    small = quantize_network(content, str(network), calibration_maps, training_facts, clip)
     checks, runners = list(drawn), (whole, OnnxRunner.of_content(small, str(out), 1))
     counts = (1, PASSES) if whole.card.shape.dropout else (1,)
     costs = [_compare(*runners, checks, passes) for passes in counts]
@@ -82,6 +87,22 @@ def quantize(config: TrainConfig, network: str | Path, out: str | Path, frames: 
             )
     write_atomic(out, small)
     return costs
+
+
+def _choose_clip(content: bytes, whole: OnnxRunner, maps: Sequence[Bytes]) -> int:
+    """Return where counting stops so that bytes are most like float32.
+
+    Most cells have few returns, some beside the sensor hundreds. Where these decide the range of the first layers, one
+    step of a byte is more than most cells differ by.
+    """
+    from viewshed_lab.training.quantize import quantize_network
+
+    used, differences = maps[:_CHOOSING], dict[int, float]()
+    for clip in (whole.card.clip, *(clip for clip in _CLIPS if clip < whole.card.clip)):
+        small = OnnxRunner.of_content(quantize_network(content, whole.card.name, used, clip=clip), "int8", 1)
+        found = [[runner.run(runner.card.shown(each)[None], None) for runner in (whole, small)] for each in used]
+        differences[clip] = float(np.mean([np.abs(one - other).mean() for one, other in found]))
+    return min(differences, key=differences.__getitem__)
 
 
 def _draw(config: TrainConfig, count: int) -> Iterator[TrainingSample]:

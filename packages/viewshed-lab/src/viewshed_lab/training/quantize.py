@@ -232,7 +232,11 @@ class _QuantParams:
 
 
 def quantize_network(
-    content: bytes, name: str, frames: Iterable[Bytes], training_facts: Mapping[str, str] | None = None
+    content: bytes,
+    name: str,
+    frames: Iterable[Bytes],
+    training_facts: Mapping[str, str] | None = None,
+    clip: int | None = None,
 ) -> bytes:
     """Return the file of a network in bytes, of that of one in float32.
 
@@ -245,16 +249,19 @@ def quantize_network(
         frames: maps (1, cells, cells) as :meth:`NetworkCard.maps_of` returns them, at least one; the more they
             are like what the network will see, the better.
         training_facts: to be added to those of the card.
+        clip: returns of a cell above which counting stops, that of the card if not given. The fewer, the finer the
+            steps of the first layers.
 
     Raises:
-        ValueError: the file is damaged, or a network in bytes already; or there is no frame.
+        ValueError: the file is damaged, or a network in bytes already; or there is no frame; or ``clip`` does not lie
+            in [1, 255].
     """
     verify_checksum(content, name)
     card = inspect_network(content, name)
     model = onnx.load_from_string(content)
     if card.precision == INT8:
         raise ValueError(f"{name} must be a network in float32, got one in bytes; give the file that it was made of")
-    card = replace(card, trained={**card.trained, **(training_facts or {}), "precision": INT8})
+    card = replace(card, trained={**card.trained, **(training_facts or {}), "precision": INT8}, clip=clip or card.clip)
     graph, maps = to_channels_last(model, card), list(frames)
     if not maps:
         raise ValueError("frames must be at least one, got none")

@@ -108,9 +108,10 @@ class NetworkCard:
         """Return the network's input of what :meth:`maps_of` returns, of :attr:`input_shape`: float32, or bytes."""
         if self.precision != INT8:
             return np.take(self._of_counts(), maps, mode="clip")
-        codes = maps
         if self.counts == "log":
             codes = np.round(self._of_counts() * np.float32(255.0)).astype(np.uint8)[maps]
+        else:
+            codes = np.minimum(maps, self.clip)
         return codes.reshape(self.input_shape)
 
     @property
@@ -120,7 +121,7 @@ class NetworkCard:
 
     def _of_counts(self) -> NDArray[np.float32]:
         """Return (256,) as what each number of returns is shown."""
-        each = np.arange(256)
+        each = np.minimum(np.arange(256), self.clip)
         shown = np.log1p(each) / np.log1p(self.clip) if self.counts == "log" else each / self.divisor
         return shown.astype(np.float32)
 
