@@ -63,7 +63,7 @@ def ship_study(store: ResultStore[PaperPlan], frames: int, folder: Path, page: P
                 file = weights_of(store.folder, model)
             files.append(_file_row(ship(file, config.name, (), folder), file.stat().st_size, costs))
     values = {
-        "plan": store.plan, "files": table(["name", "KB", "SHA-256", "grid", "F1 lost to bytes, by passes"], files),
+        "plan": store.plan, "files": table(["name", "KB", "SHA-256", "grid", "F1 lost to int8, by passes"], files),
         "trainings": table(
             ["name", "trained on", "attacked", "dropout", "learning rate", "epochs", "best", "validation F1"],
             [_training_row(results, model) for model in models],
