@@ -1,4 +1,4 @@
-"""From a sweep to its field of view, and what the estimate answers."""
+"""Estimate the field of view of a sweep and query it."""
 
 import numpy as np
 

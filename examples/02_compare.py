@@ -1,4 +1,4 @@
-"""Why "farthest" is a dangerous word: every classical estimator on one sweep, before and after 150 spoofed points."""
+"""Compare the area that every estimator claims on one sweep, before and after 150 spoofed points."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""A simulated junction: what the sensor measures, what it could have seen, and how close the shadow map comes."""
+"""Simulate a sweep at a junction, and score the shadow map against the exact truth."""
 
 import numpy as np
 

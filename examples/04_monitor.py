@@ -1,7 +1,7 @@
-"""Is someone lying? A stream of honest sweeps, into which an attacker begins to forge; what the monitor says of it.
+"""Is someone lying? Run the monitor on a stream of honest sweeps that an attacker begins to forge.
 
-It judges each sweep by the stream's own past, and it does not find every lie: docs/results/monitor.md says how many,
-and how often it is wrong.
+The monitor compares each sweep with the stream's past. It does not find every attack: docs/results/monitor.md has its
+detection and false-alarm rates.
 """
 
 import numpy as np

@@ -1,4 +1,4 @@
-"""A small network, trained on simulated sweeps under attack: seconds here, hours for one that is any good."""
+"""Train a small network on simulated sweeps under attack: seconds here, hours for a useful one."""
 
 import tempfile
 from dataclasses import replace

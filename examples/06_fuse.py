@@ -1,7 +1,7 @@
-"""A car, another car that lies, and a sensor on a mast: signed messages, one common picture, and whom it trusts.
+"""Fuse signed messages of a car, a car that lies and a sensor on a mast, and estimate the trust in each.
 
-The second car reports three cars that are not there. Its messages are signed as well as the others', so that the
-receiver takes them; that it contradicts what the other two see is found out by trust.
+The second car reports three cars that are not there. Its messages are correctly signed, so the receiver accepts them;
+trust falls because its reports contradict what the other two see.
 """
 
 from dataclasses import replace
@@ -22,7 +22,7 @@ from viewshed_lab.threats.object_attacks import OBJECT_ATTACKS
 LIAR, SECONDS, HZ, SEED = "vehicle_1", 6.0, 2.0, 5
 START_NS = 1_760_000_000_000_000_000
 
-# A junction with two cars that measure and a mast; everybody has a key, and the center knows the public ones.
+# A junction with two cars and a mast, each with a sensor and a key; the center knows the public keys.
 preset = replace(preset_named("carla"), roadside=1, sensors=("hdl32e",))
 plan = drive_plan(preset, seconds=SECONDS, hz=HZ, agents=2, world="junction", seed=SEED)
 agents = ("vehicle_0", LIAR, "roadside_0")
@@ -35,7 +35,7 @@ lie = OBJECT_ATTACKS["fabricate_static"](counts="exact", mean_count=3.0).begin(n
 reports: list[AgentReport] = []
 sent_bytes = 0
 for number, (sweep, _) in enumerate(drive_sweeps(plan)):
-    # 1. Each agent estimates what it sees and finds objects; the liar adds some after two seconds.
+    # 1. Each agent estimates its view and detects objects; the liar adds false ones after two seconds.
     leveled = level(sweep, estimator.grid)
     view, found = estimator.estimate(leveled), detector.detect(leveled)
     pose, t_ns = view.world_from_level, START_NS + (sweep.t_ns or 0)
@@ -43,7 +43,7 @@ for number, (sweep, _) in enumerate(drive_sweeps(plan)):
     if sweep.agent == LIAR:
         found = lie.apply(found.moved(pose), (sweep.t_ns or 0) / 1e9, pose.translation).detections.moved(pose.inverse())
 
-    # 2. It sends both in a signed message of a few kilobytes.
+    # 2. It sends view and objects in a signed message of a few kilobytes.
     height_m, reach_m = (view.basis.sensor_height_m, view.basis.reach_m) if view.basis else (np.nan, np.nan)
     message = ViewMessage(
         sweep.agent, number, t_ns, "map", pose, np.diag([0.01, 0.01, 0.01, 1e-4, 1e-4, 1e-4]),
@@ -52,7 +52,7 @@ for number, (sweep, _) in enumerate(drive_sweeps(plan)):
     data = sign_message(message, keys[sweep.agent])
     sent_bytes += len(data)
 
-    # 3. The center verifies it; when all have spoken of one time, it puts together what they say.
+    # 3. The center verifies it, and fuses the reports once all agents have sent one for the same time.
     taken = receiver.receive(data, t_ns + 20_000_000).message
     assert taken is not None
     reports.append(AgentReport.of_message(taken))

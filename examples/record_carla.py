@@ -5,10 +5,9 @@
     python examples/record_carla.py --out town03 --town Town03 --agents 3 --roadside 2 --ticks 200
     viewshed estimate town03 --out fields
 
-THIS SCRIPT HAS NEVER MET A CARLA SERVER. It ran against a stand-in for the client whose every name exists in the real
-one (0.9.16), and the real client without a server gives the line that it should. What only a server can show is not
-tested: that spawning, traffic and sensors behave as the client's documents say, the order of points by channel, and
-the speed.
+THIS SCRIPT WAS NEVER RUN AGAINST A CARLA SERVER. It ran against a mock of the client, all of whose names exist in the
+real one (0.9.16); the real client without a server gives the expected error line. Not tested: that spawning, traffic
+and sensors behave as the client's documentation says, the order of points by channel, and the speed.
 """
 
 from __future__ import annotations

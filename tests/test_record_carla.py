@@ -372,7 +372,7 @@ def test_without_arguments_it_says_how_to_use_it(capsys: pytest.CaptureFixture[s
     assert main([]) == 0
     words = capsys.readouterr().out
     assert "python examples/record_carla.py --out town03" in words
-    assert "THIS SCRIPT HAS NEVER MET A CARLA SERVER" in words
+    assert "THIS SCRIPT WAS NEVER RUN AGAINST A CARLA SERVER" in words
 
 
 def test_the_command_records(
