@@ -197,7 +197,7 @@ def test_a_publish_that_is_slow_is_given_the_newest_answer() -> None:
 
 
 def test_a_slow_step_of_files_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("viewshed.pipeline.stream._PUBLISH_PATIENCE_S", 0.1)
+    monkeypatch.setattr("viewshed.pipeline.stream._PUBLISH_TIMEOUT_S", 0.1)
     answers: list[Answer] = []
 
     def slow(answer: Answer) -> None:

@@ -196,11 +196,9 @@ class StreamMonitor:
     def _limitations(self, agent: _Agent, leveled: LeveledSweep, gap_s: float) -> tuple[str, ...]:
         """Return one sentence for each limitation of a report: of the stream (once), and of a gap before the sweep."""
         notes = [f"the last sweep is {gap_s:.1f} s old: it is not compared"] if gap_s else []
-        lowest = self.calibration.least_per_hour
-        if agent.sweeps == 1 and self.per_hour < lowest * (1.0 - 1e-9):
-            notes.append(
-                f"{self.per_hour:g} false alarms an hour are an extrapolation: the drives support {lowest:.2g}"
-            )
+        rate = self.calibration.least_per_hour
+        if agent.sweeps == 1 and self.per_hour < rate * (1.0 - 1e-9):
+            notes.append(f"{self.per_hour:g} false alarms an hour are an extrapolation: the drives support {rate:.2g}")
         if agent.sweeps == SILENT_SWEEPS and agent.silent.any():
             has_rings = leveled.range_image is not None and leveled.sensor_id.layout is None
             inputs = (("poses", leveled.sweep.world_from_sensor is not None), ("rings", has_rings))
