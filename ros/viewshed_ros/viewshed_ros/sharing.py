@@ -36,8 +36,8 @@ class ViewSigner:
         if estimate is None or estimate.world_from_level is None or estimate.t_ns is None:
             raise ValueError("what is shared with others must have a pose and a time, got none for this sweep")
         basis = estimate.basis
-        # The epoch, the first time in milliseconds, increases with each restart and must not be later than its messages.
-        # If the clock was so far ahead that receivers refused them, and is then corrected, a new epoch begins.
+        # The epoch, the first time in milliseconds, increases with each restart and must not be later than messages. If
+        # the clock was so far ahead that receivers refused messages, and is then corrected, a new epoch begins.
         t_ms = estimate.t_ns // 1_000_000
         if self._epoch < 0 or t_ms < self._epoch - AHEAD_MS:
             self._epoch, self._sequence = t_ms, 0
