@@ -168,7 +168,7 @@ def test_an_estimator_that_hangs_is_left_behind_when_the_pipeline_closes() -> No
     free, estimator = waiting_estimator()
     pipeline = Pipeline(estimator, lambda answer: None)
     free.clear()
-    pipeline._answering[1].patience_s = 0.3
+    pipeline._answering[1].timeout_s = 0.3
     pipeline.put(at(0.0, TINY))
     time.sleep(0.1)
     ended = closed(pipeline)
