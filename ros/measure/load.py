@@ -1,6 +1,6 @@
-"""A node in a process of its own under load: clouds or scans in as raw bytes, the times of its grids out.
+"""Load test of a node in its own process: publishes clouds or scans, and measures the latency of its grids.
 
-Everything is published and taken as serialized bytes, so that what is measured is the node and not this side.
+Everything is published and received as serialized bytes, so that the measurement covers the node and not this process.
 """
 
 from __future__ import annotations
@@ -33,14 +33,14 @@ from sensor_msgs.msg import LaserScan, PointCloud2, PointField
 from viewshed_ros.stops import LATCHED
 
 STAMP_AT = 4
-"""Byte of a serialized message at which its header's stamp begins: seconds and nanoseconds, four bytes each."""
+"""Byte offset of the header's stamp in a serialized message: seconds and nanoseconds, four bytes each."""
 
 BEGIN_NS = 1_700_000_000 * 10**9
 """Time of the first message."""
 
 
 def message_of(cloud: Cloud) -> bytes:
-    """Return a cloud serialized."""
+    """Return a serialized cloud."""
     message = PointCloud2(
         height=cloud.height, width=cloud.width, point_step=cloud.point_step, row_step=cloud.row_step,
         is_bigendian=cloud.is_bigendian, is_dense=True,
@@ -65,7 +65,7 @@ def scan_bytes(ranges_m: NDArray[np.float32], field_of_view: float, range_max_m:
 
 
 def stamped(message: bytes, t_ns: int) -> bytes:
-    """Return a serialized message with another time in its header."""
+    """Return a serialized message with a new time in its header."""
     changed = bytearray(message)
     pack_into("<iI", changed, STAMP_AT, *divmod(t_ns, 10**9))
     return bytes(changed)
@@ -79,7 +79,7 @@ def stamp_ns(message: bytes) -> int:
 
 @contextmanager
 def running_node(parameters: Mapping[str, object]) -> Iterator[subprocess.Popen[bytes]]:
-    """Run the node with autostart; it is ended by Ctrl-C's signal and must then return 0."""
+    """Run the node with autostart; end it by SIGINT and require exit code 0."""
     words = [word for name, value in parameters.items() for word in ("-p", f"{name}:={value}")]
     command = [sys.executable, "-m", "viewshed_ros.node", "--ros-args", "--log-level", "error", "-p", "autostart:=true"]
     process = subprocess.Popen([*command, *words], env=os.environ)
@@ -93,14 +93,14 @@ def running_node(parameters: Mapping[str, object]) -> Iterator[subprocess.Popen[
 
 
 def processor_s(process: int) -> float:
-    """Return the seconds of a processor that a process has used."""
+    """Return the CPU seconds that a process has used."""
     words = Path(f"/proc/{process}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()
     return (int(words[11]) + int(words[12])) / os.sysconf("SC_CLK_TCK")
 
 
 @dataclass(slots=True)
 class Stream:
-    """One sensor's topic: what is published, when each message was and its grid came, and how many have none."""
+    """One sensor's topic: its message, the time of each publication, latencies of grids, and dropped messages."""
 
     name: str
     message: bytes
@@ -119,26 +119,26 @@ class Stream:
         self.publish(message)
 
     def take(self, grid: bytes) -> None:
-        """Note that the grid of a message has come; those before it that have none were dropped."""
+        """Record the latency of a grid; earlier messages without a grid were dropped."""
         now_s, t_ns = time.perf_counter(), stamp_ns(grid)
         if t_ns in self.put_s:
             self.latency_s.append(now_s - self.put_s[t_ns])
-            self.dropped += sum(each < t_ns for each in self.put_s)
-            self.put_s = {each: put_s for each, put_s in self.put_s.items() if each > t_ns}
+            self.dropped += sum(sent_ns < t_ns for sent_ns in self.put_s)
+            self.put_s = {sent_ns: put_s for sent_ns, put_s in self.put_s.items() if sent_ns > t_ns}
 
     def waiting(self) -> int:
-        """Return how many messages have no grid yet; one of half a second ago is lost."""
+        """Return the number of messages without a grid so far; those older than 0.5 s count as dropped."""
         lost_s = time.perf_counter() - 0.5
         self.dropped += sum(put_s <= lost_s for put_s in self.put_s.values())
-        self.put_s = {each: put_s for each, put_s in self.put_s.items() if put_s > lost_s}
+        self.put_s = {sent_ns: put_s for sent_ns, put_s in self.put_s.items() if put_s > lost_s}
         return len(self.put_s)
 
 
 class Load:
-    """Publishes streams and takes their grids.
+    """Publishes streams and receives their grids.
 
     Args:
-        streams: by sensor.
+        streams: one for each sensor.
         is_scan: whether they are laser scans.
     """
 
@@ -161,11 +161,11 @@ class Load:
         stream.take(grid)
 
     def spin(self, seconds: float) -> None:
-        """Take what comes for a time, or until the first message."""
+        """Handle incoming messages for a time, or until the first one."""
         rclpy.spin_once(self.node, timeout_sec=max(seconds, 0.0))
 
     def wait_for_node(self, seconds: float = 60.0) -> None:
-        """Wait until the node listens."""
+        """Wait until the node has subscribed to all topics."""
         end_s = time.monotonic() + seconds
         while not all(publisher.get_subscription_count() for publisher in self._publishers):
             if time.monotonic() > end_s:
@@ -173,7 +173,7 @@ class Load:
             self.spin(0.02)
 
     def first_answer(self) -> float:
-        """Publish ten times a second until a grid has come, and return when (of ``time.perf_counter``)."""
+        """Publish ten times a second until a grid comes, and return its time (``time.perf_counter``)."""
         stream = self.streams[0]
         while not stream.latency_s:
             stream.send()
@@ -183,7 +183,7 @@ class Load:
         return time.perf_counter()
 
     def run_closed(self, seconds: float, under_way: int) -> float:
-        """Keep ``under_way`` messages of the first stream under way, and return the seconds that it took."""
+        """Keep ``under_way`` messages of the first stream in flight, and return the elapsed seconds."""
         stream = self.streams[0]
         begin_s = time.perf_counter()
         while time.perf_counter() - begin_s < seconds:
@@ -211,11 +211,11 @@ class Load:
             self.spin(0.1)
 
     def forget(self) -> None:
-        """Begin to count anew."""
+        """Reset latencies and counts."""
         for stream in self.streams:
             stream.latency_s.clear()
             stream.dropped = 0
 
     def close(self) -> None:
-        """End."""
+        """Destroy the node."""
         self.node.destroy_node()

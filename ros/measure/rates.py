@@ -1,6 +1,6 @@
-"""What the node reaches on this machine: ``ros/python.sh ros/measure/rates.py SWEEPS [--seconds S]`` prints JSON.
+"""Measure the node on this machine: ``ros/python.sh ros/measure/rates.py SWEEPS [--seconds S]`` prints JSON.
 
-SWEEPS is a folder that ``python -m benchmarks.robot`` fills: an NPZ of each sweep, and of the laser's ranges.
+SWEEPS is a folder written by ``python -m benchmarks.robot``: an NPZ of each sweep, and of the laser's ranges.
 """
 
 from __future__ import annotations
@@ -33,23 +33,23 @@ from viewshed_ros.nav2 import SpeedLimits
 
 AGENTS = 10
 NETWORKS = ("unet", "mc_dropout")
-"""Methods that are networks: one pass, and several."""
+"""Networks: with one pass, and with several."""
 
 UNDER_WAY = (1, 2, 3)
-"""Of one sensor at a time: with three, one for each thread that works and one that waits."""
+"""Messages in flight: with three, one for each working thread and one that waits."""
 
 TOPIC_MESSAGES = 30
 SENSOR_HZ = 10.0
 
 
 def main() -> None:
-    """Measure everything and print it."""
+    """Run all measurements and print the results."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("sweeps", type=Path)
     parser.add_argument("--seconds", type=float, default=10.0, help="of each measurement")
-    chosen = parser.parse_args()
+    arguments = parser.parse_args()
     rclpy.init()
-    print(json.dumps(list(_measured(chosen.sweeps, chosen.seconds))))
+    print(json.dumps(list(_measured(arguments.sweeps, arguments.seconds))))
     rclpy.try_shutdown()
 
 
@@ -81,7 +81,7 @@ def _sweep(path: Path) -> Sweep:
 def _closed(
     name: str, message: bytes, monitor: str, seconds: float, *, is_scan: bool, method: str = ""
 ) -> Iterator[dict[str, Any]]:
-    """Yield latencies and rates for numbers of messages under way, of the profile's method or of a network in bytes."""
+    """Yield latencies and rates by number of messages in flight, for the profile's method or an int8 network."""
     parameters = {"profile": "infrastructure", "rate_hz": "0.0", "monitor": monitor}
     if method:
         parameters |= {"method": method, "weights": "road_int8", "history": "0"}
@@ -108,9 +108,9 @@ def _closed(
 
 
 def _at_ten_hz(name: str, streams: list[Stream], seconds: float) -> dict[str, Any]:
-    """Return what sensors of 10 Hz each cost, with the profile ``robot``."""
+    """Return latency, rate and load for sensors at 10 Hz each, with the profile ``robot``."""
     load = Load(streams)
-    # Sensors do not keep time to the microsecond: all of their sweeps are to be estimated.
+    # The rate limit tolerates jitter, so all sweeps must be estimated.
     parameters = {"profile": "robot", "sensors": f"[{', '.join(stream.name for stream in streams)}]"}
     with running_node(parameters) as node:
         load.wait_for_node()
@@ -121,16 +121,16 @@ def _at_ten_hz(name: str, streams: list[Stream], seconds: float) -> dict[str, An
         load.run_at(seconds, SENSOR_HZ)
         passed_s, used_s = time.perf_counter() - begin_s, processor_s(node.pid) - before_s
         hz = [len(stream.latency_s) / seconds for stream in streams]
-        found = {
+        result = {
             "case": name, **_latencies(*streams), "hz": min(hz), "hz_most": max(hz), "cores": used_s / passed_s,
             "memory_mb": memory_mb(node.pid),
         }  # fmt: skip
     load.close()
-    return found
+    return result
 
 
 def _topics(sweep: Sweep) -> Iterator[dict[str, Any]]:
-    """Yield what making and serializing a message of each topic takes."""
+    """Yield the CPU time of making and serializing a message of each topic."""
     leveled = level(sweep.replace(world_from_sensor=Rigid.identity()), GRIDS["road"])
     estimate = load_estimator("shadow_map", grid="road").estimate(leveled)
     suspect, placed = np.zeros(SECTORS, np.bool_), leveled.level_from_sensor.inverse()
@@ -139,9 +139,9 @@ def _topics(sweep: Sweep) -> Iterator[dict[str, Any]]:
         taken_s = []
         for _ in range(TOPIC_MESSAGES):
             begin_s = time.thread_time()
-            made = layer.make(view)
-            if not isinstance(made, bytes):
-                serialize_message(made)
+            message = layer.make(view)
+            if not isinstance(message, bytes):
+                serialize_message(message)
             taken_s.append(time.thread_time() - begin_s)
         yield {"case": "topic", "topic": topic, "processor_ms": 1e3 * float(np.median(taken_s))}
 
@@ -153,7 +153,7 @@ def _latencies(*streams: Stream) -> dict[str, float]:
 
 
 def _start_s(message: bytes, caches: str) -> float:
-    """Return the seconds from the start of the process to its first grid; Python's caches are in a folder."""
+    """Return the seconds from the start of the process to its first grid, with Python's bytecode cache in a folder."""
     load = Load([Stream("lidar", message)])
     os.environ["PYTHONPYCACHEPREFIX"] = caches
     begin_s = time.perf_counter()

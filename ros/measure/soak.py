@@ -1,8 +1,8 @@
-"""The node worked for some time: ``ros/python.sh ros/measure/soak.py SWEEP.npz SECONDS`` prints JSON.
+"""Soak test of the node: ``ros/python.sh ros/measure/soak.py SWEEP.npz SECONDS`` prints JSON.
 
-``python -m benchmarks.soak`` runs it and says what its numbers mean. The node begins anew in turns: ended by Ctrl-C's
-signal and started again, and by its lifecycle, deactivated and activated. Of single messages nothing is known here: a
-best-effort profile may lose some. So sums are compared: of what was sent with what the node's diagnostics say.
+``python -m benchmarks.soak`` runs it and explains its numbers. The node is restarted by turns: the process by SIGINT,
+or its lifecycle by deactivation and activation. Single messages cannot be traced, because best-effort topics may lose
+some; so the number of sent messages is compared with the sums in the node's diagnostics.
 """
 
 from __future__ import annotations
@@ -40,11 +40,11 @@ from viewshed.pipeline.latency import Latencies
 from viewshed.sweep import Sweep
 
 RESTARTED_SHARE = 3
-"""Every k-th time that it begins anew the process is ended; else its lifecycle goes round."""
+"""Every k-th restart restarts the process; the others deactivate and activate the node."""
 
 
 def main() -> None:
-    """Soak and print."""
+    """Run the test and print the results."""
     path, seconds = Path(sys.argv[1]), float(sys.argv[2])
     with np.load(path) as file:
         sweep = Sweep(file["points"], file.get("intensity"), file.get("ring"))
@@ -52,25 +52,26 @@ def main() -> None:
     soak = Soak(sweep, seconds)
     soak.run()
     rclpy.try_shutdown()
-    found = soak.soaked
+    result = soak.soaked
     kinds = {
         name: {
             "sent": kind.sent, "answered": kind.answered, "refused": kind.refused, "dropped": kind.dropped,
             "reasons": dict(kind.reasons),
         }
-        for name, kind in found.kinds.items()
+        for name, kind in result.kinds.items()
     }  # fmt: skip
     print(json.dumps({
-        "seconds": found.seconds, "restarts": found.restarts, "kinds": kinds, "log": found.log, "faults": found.faults,
+        "seconds": result.seconds, "restarts": result.restarts, "kinds": kinds, "log": result.log,
+        "faults": result.faults,
     }))  # fmt: skip
 
 
 class Soak:
-    """The node's soak.
+    """The soak test of the node.
 
     Args:
-        sweep: what is sent.
-        seconds: for how long.
+        sweep: sent in all messages.
+        seconds: duration.
     """
 
     def __init__(self, sweep: Sweep, seconds: float) -> None:
@@ -81,13 +82,13 @@ class Soak:
         self._script = Script(np.random.default_rng(SEED))
         self._load.node.create_subscription(DiagnosticArray, "/diagnostics", self._take, 10)
         self._change = self._load.node.create_client(ChangeState, "field_of_view/change_state")
-        self._said: dict[str, str] = {}
+        self._diagnostics: dict[str, str] = {}
         self.soaked = Soaked(kinds={"all": Kind()})
         self._before = Kind()
         self._ended_with_mb: list[float] = []
 
     def run(self) -> None:
-        """Work the node until the time is up."""
+        """Run the test for its duration."""
         begin_s = time.perf_counter()
         while time.perf_counter() - begin_s < self._seconds:
             with running_node({"profile": "infrastructure", "rate_hz": "0.0", "diagnostics_hz": "10.0"}) as node:
@@ -100,10 +101,10 @@ class Soak:
                         break
                     self._go_round()
                 self._account(node)
-            # What the process that ended has still said is not said by the next one.
+            # Discard late diagnostics of the process that ended.
             for _ in range(50):
                 self._load.spin(0.0)
-            self._said.clear()
+            self._diagnostics.clear()
         self.soaked.seconds = time.perf_counter() - begin_s
         ends = ", ".join(f"{memory:.0f}" for memory in self._ended_with_mb)
         self.soaked.kinds["all"].reasons[f"processes, ended with {ends} MB"] = len(self._ended_with_mb)
@@ -117,7 +118,7 @@ class Soak:
             stream.publish(stamped(self._messages.get(name, stream.message), t_ns))
             kind.sent += 1
             kind.reasons[f"sent: {name}"] += 1
-            # What is refused has no grid: such a one is waited for no longer than the others.
+            # Refused messages get no grid, so the wait is limited.
             end_s = now_s + (0.0 if is_more else 0.2)
             while stream.waiting() >= UNDER_WAY and time.perf_counter() < end_s:
                 self._load.spin(0.02)
@@ -142,17 +143,17 @@ class Soak:
     def _take(self, message: DiagnosticArray) -> None:
         """Keep the last diagnostics: those of the pipeline and of the sensor have their own names."""
         for status in message.status:
-            self._said |= {f"{status.name}/{pair.key}": pair.value for pair in status.values}
+            self._diagnostics |= {f"{status.name}/{pair.key}": pair.value for pair in status.values}
 
     def _value(self, name: str, otherwise: int = 0) -> int:
-        return int(self._said.get(name, otherwise))
+        return int(self._diagnostics.get(name, otherwise))
 
     def _count(self) -> None:
-        """Set what is known by now: what was before this process, and what its diagnostics say."""
+        """Update the counts: those before this process, plus its diagnostics."""
         kind, before = self.soaked.kinds["all"], self._before
         kind.answered = before.answered + self._value("field_of_view/answered")
         refused = {
-            key: int(value) for key, value in self._said.items() if "/refused: " in key and ": lidar/" not in key
+            key: int(value) for key, value in self._diagnostics.items() if "/refused: " in key and ": lidar/" not in key
         }
         kind.refused = before.refused + sum(refused.values())
         received = self._value("field_of_view: lidar/messages")
@@ -165,7 +166,7 @@ class Soak:
         kind.dropped = replaced + before.reasons["replaced by newer ones"] + kind.sent - kind.reasons["received"]
 
     def _account(self, node: subprocess.Popen[bytes]) -> None:
-        """Wait until the node is idle and has said so, and keep its sums: those of the next process begin at 0."""
+        """Wait for the final diagnostics of the node and keep its counts, because the next process counts from 0."""
         if node.poll() is not None:
             self.soaked.faults.append(f"the node ended by itself with {node.returncode}")
             return
@@ -179,14 +180,14 @@ class Soak:
         self._stream.put_s.clear()
 
     def _judge(self) -> None:
-        """Say what must not be."""
+        """Record violations of the expected counts."""
         kind, faults = self.soaked.kinds["all"], self.soaked.faults
         if kind.sent != kind.answered + kind.refused + kind.dropped:
             faults.append(f"of {kind.sent} sent {kind.answered + kind.refused + kind.dropped} are known")
         damaged = sum(kind.reasons[f"sent: {name}"] for name, damage in DAMAGES.items() if damage.says)
-        most = damaged + kind.reasons["sent: time repeats"]
-        if kind.refused > most:
-            faults.append(f"{kind.refused} were refused, but only {most} could be")
+        max_refused = damaged + kind.reasons["sent: time repeats"]
+        if kind.refused > max_refused:
+            faults.append(f"{kind.refused} were refused, but only {max_refused} could be")
         words = [damage.says for damage in DAMAGES.values() if damage.says] + [CLOCKS["time repeats"][1]]
         faults += [
             f"refused for a reason that nobody expects: {reason}"

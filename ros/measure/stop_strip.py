@@ -1,7 +1,7 @@
-"""Sensor, poses, network and node cut one by one, as a strip: ``ros/python.sh ros/measure/stop_strip.py PICTURE``.
+"""Cut sensor, poses, network and node one by one, as a timeline: ``ros/python.sh ros/measure/stop_strip.py PICTURE``.
 
-Runs the node and the watchdog with the robot of the tests, draws what a subscriber held at each time, and prints the
-seconds from the last cloud or pose to masks by which nav2 stops, as JSON.
+Runs the node and the watchdog with the robot of the tests, draws a subscriber's state over time, and prints the seconds
+from the last cloud or pose to masks that stop nav2, as JSON.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ from viewshed.agents.signing import SigningKey
 from viewshed_ros.node import VIEWS
 
 CUTS = {"sensor": (3.0, 6.0), "poses": (9.0, 12.0), "network": (15.0, 18.0), "node": (21.0, 24.0)}
-"""Seconds from which and to which something is cut; a node that was killed does not come back."""
+"""Start and end of each cut in seconds; a killed node does not come back."""
 
 STEP_S, SCALE, ROW, LEFT = 0.1, 40, 26, 150
-"""Between clouds; pixels of a second, of a row's height, and of the names."""
+"""Time between clouds; pixels per second, of a row's height, and of the names."""
 
 GREEN, YELLOW, RED, GRAY = (120, 190, 140), (240, 200, 80), (210, 50, 40), (225, 225, 225)
 COLORS = {
@@ -41,7 +41,7 @@ COLORS = {
 
 
 def main() -> None:
-    """Run, draw and print."""
+    """Run the test, draw the picture and print the times."""
     rclpy.init()
     with tempfile.TemporaryDirectory() as folder, ExitStack() as stack:
         key = Path(folder) / "car.key"
@@ -61,7 +61,7 @@ def main() -> None:
 
 
 def run(robot: Robot, node: Any) -> tuple[list[dict[str, str]], dict[str, float]]:
-    """Return what a subscriber held at each time, and how long nav2 drove on after each cut."""
+    """Return the state of a subscriber at each time, and the time from each cut until nav2 stops."""
     views: list[float] = []
     heard: Any = None
     rows, last_s, stopped_s = list[dict[str, str]](), dict.fromkeys(CUTS, 0.0), dict[str, float]()
@@ -93,12 +93,12 @@ def run(robot: Robot, node: Any) -> tuple[list[dict[str, str]], dict[str, float]
 
 
 def hear(times_s: list[float], _: UInt8MultiArray) -> None:
-    """Note that a message of the agents came."""
+    """Record the arrival of an agent's message."""
     times_s.append(time.monotonic())
 
 
 def held(robot: Robot, cut: set[str], is_heard: bool, now_s: float) -> dict[str, str]:
-    """Return what a subscriber holds now."""
+    """Return the current state of a subscriber."""
     row = {name: "cut" if name in cut else "on" for name in CUTS}
     values = {pair.key: pair.value for pair in robot.got["alarm"][-1].values} if robot.got["alarm"] else {}
     row["alarm"] = values.get("caution", "none")
@@ -110,7 +110,7 @@ def held(robot: Robot, cut: set[str], is_heard: bool, now_s: float) -> dict[str,
 
 
 def draw(rows: list[dict[str, str]]) -> Image.Image:
-    """Return the strip: a row of colors for each input that is cut, and for each output."""
+    """Return the timeline: a colored row for each input that is cut, and for each output."""
     names, font = [name for name in rows[0] if name != "s"], ImageFont.load_default(14)
     end_s = CUTS["node"][1]
     picture = Image.new("RGB", (LEFT + int(end_s * SCALE) + 20, ROW * (len(names) + 1) + 8), (255, 255, 255))
@@ -120,7 +120,7 @@ def draw(rows: list[dict[str, str]]) -> Image.Image:
         pen.text((8, top + 2), name, (0, 0, 0), font)
         before = ""
         for row, later in zip(rows, [*rows[1:], {"s": str(end_s)}], strict=True):
-            left, right = (LEFT + int(float(each["s"]) * SCALE) for each in (row, later))
+            left, right = (LEFT + int(float(entry["s"]) * SCALE) for entry in (row, later))
             pen.rectangle((left, top, right, top + ROW - 7), COLORS[row[name]])
         for row in rows:
             if row[name] != before:

@@ -12,7 +12,7 @@ namespace {
 using sensor_msgs::msg::PointCloud2;
 using sensor_msgs::msg::PointField;
 
-// Where a field of one value of a type begins in a point. Throws where it does not lie in the point.
+// The offset of a field in a point. Throws unless it has one value of this type and lies within the point.
 std::size_t offset_of(const PointCloud2 & cloud, const std::string & name, std::uint8_t type, std::size_t size) {
   const auto field = std::find_if(cloud.fields.begin(), cloud.fields.end(), [&](const auto & f) {return f.name == name;});
   if (field == cloud.fields.end() || field->datatype != type || field->count > 1) {
@@ -24,8 +24,8 @@ std::size_t offset_of(const PointCloud2 & cloud, const std::string & name, std::
   return field->offset;
 }
 
-// The quaternion (x, y, z, w) of the transpose of a rotation, by Shepperd's method: the largest part first.
-std::array<double, 4> turned_back(const double * r) {
+// The quaternion (x, y, z, w) of the transpose of a rotation, by Shepperd's method, which divides by the largest component.
+std::array<double, 4> quaternion_of_transpose(const double * r) {
   const double trace = r[0] + r[4] + r[8];
   const std::array<double, 4> squares{1 + 2 * r[0] - trace, 1 + 2 * r[4] - trace, 1 + 2 * r[8] - trace, 1 + trace};
   const auto largest = std::size_t(std::max_element(squares.begin(), squares.end()) - squares.begin());
@@ -51,7 +51,7 @@ viewshed_sweep sweep_of(const PointCloud2 & cloud, const std::string & ring_fiel
   viewshed_sweep sweep = viewshed_no_sweep();
   sweep.count = std::size_t(cloud.width) * cloud.height;
   const bool is_padded = cloud.height > 1 && cloud.row_step != std::uint64_t(cloud.width) * cloud.point_step;
-  // count * point_step cannot overflow: counts come from bytes that are there.
+  // Divide instead of multiplying, so that count * point_step cannot overflow.
   if (is_padded || (sweep.count > 0 && cloud.data.size() / sweep.count < cloud.point_step)) {
     throw std::invalid_argument("data must hold width * height points without padding");
   }
@@ -80,12 +80,12 @@ nav_msgs::msg::OccupancyGrid grid_of(
   grid.info.origin.position.x = r[0] * level[0] + r[3] * level[1] + r[6] * level[2];
   grid.info.origin.position.y = r[1] * level[0] + r[4] * level[1] + r[7] * level[2];
   grid.info.origin.position.z = r[2] * level[0] + r[5] * level[1] + r[8] * level[2];
-  const auto [qx, qy, qz, qw] = turned_back(r);
+  const auto [qx, qy, qz, qw] = quaternion_of_transpose(r);
   grid.info.origin.orientation.x = qx;
   grid.info.origin.orientation.y = qy;
   grid.info.origin.orientation.z = qz;
   grid.info.origin.orientation.w = qw;
-  // Grids go along x first; cells along y.
+  // OccupancyGrid data run along x first, cells of the estimate along y.
   constexpr std::array<std::int8_t, 4> STATES{-1, 0, 100, 50};
   grid.data.resize(cells * cells);
   for (std::size_t i = 0; i < cells; ++i) {

@@ -1,4 +1,4 @@
-// The field of view of a LiDAR, live: a composable node without Python. Clouds in, grids out, each in its own time.
+// Composable node without Python: takes clouds of a LiDAR, publishes grids of its field of view with the clouds' stamps.
 #include <memory>
 #include <optional>
 #include <stdexcept>
@@ -17,15 +17,15 @@ public:
   explicit FieldOfView(const rclcpp::NodeOptions & options)
   : Node("field_of_view", options)
   {
-    // 1. Parameters; the names are those of the Python node.
+    // 1. Parameters, named as in the Python node.
     model_ = declare_parameter<std::string>("model", "auto");
     ring_field_ = declare_parameter<std::string>("ring_field", "");
     height_m_ = declare_parameter<double>("height_m", 0.0);
     options_.cells = std::uint32_t(declare_parameter<int>("cells", int(options_.cells)));
     options_.half_extent_m = declare_parameter<double>("half_extent_m", options_.half_extent_m);
     options_.sensor = model_ == "auto" ? nullptr : model_.c_str();
-    stream_.emplace(options_);  // throws with a line that says what is wrong
-    // 2. Grids are latched, clouds may be lost.
+    stream_.emplace(options_);  // throws if an option is invalid
+    // 2. Topics: grids are latched, clouds are best-effort.
     const auto latched = rclcpp::QoS(1).reliable().transient_local();
     visibility_ = create_publisher<nav_msgs::msg::OccupancyGrid>("visibility", latched);
     state_ = create_publisher<nav_msgs::msg::OccupancyGrid>("state", latched);
@@ -41,7 +41,7 @@ private:
     if (!wants_visibility && !wants_state) {return;}
     try {
       viewshed_sweep sweep = sweep_of(cloud, ring_field_);
-      if (height_m_ != 0.0) {sweep.sensor_height_m = height_m_;}  // 0: it is estimated
+      if (height_m_ != 0.0) {sweep.sensor_height_m = height_m_;}  // 0: estimate it
       const viewshed::Estimate estimate = stream_->estimate(sweep);
       if (wants_visibility) {
         visibility_->publish(std::make_unique<nav_msgs::msg::OccupancyGrid>(
@@ -51,7 +51,7 @@ private:
         state_->publish(std::make_unique<nav_msgs::msg::OccupancyGrid>(
           grid_of(estimate, options_, Layer::STATE, cloud.header)));
       }
-    } catch (const std::exception & error) {  // a message that contradicts itself is dropped
+    } catch (const std::exception & error) {  // drop an inconsistent message
       RCLCPP_WARN_THROTTLE(get_logger(), *get_clock(), 5000, "cloud dropped: %s", error.what());
     }
   }

@@ -1,4 +1,4 @@
-// A cloud of a file of x, y, z to grids, as the node does it; and clouds that contradict themselves.
+// Convert a cloud from a file of x, y, z to grids, as the node does; and refuse inconsistent clouds.
 #include <cstring>
 #include <fstream>
 #include <iostream>
@@ -47,7 +47,7 @@ int main(int argc, char ** argv)
   std::ifstream file(argv[1], std::ios::binary);
   const std::vector<char> xyz{std::istreambuf_iterator<char>(file), std::istreambuf_iterator<char>()};
   const PointCloud2 cloud = cloud_of(xyz);
-  // 1. Clouds that contradict themselves.
+  // 1. Inconsistent clouds.
   if (refuses(cloud, [](PointCloud2 &) {})) {return 3;}
   if (!refuses(cloud, [](PointCloud2 & c) {c.data.pop_back();})) {return 4;}
   if (!refuses(cloud, [](PointCloud2 & c) {c.fields[3].offset = 20;})) {return 5;}

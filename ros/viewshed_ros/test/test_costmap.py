@@ -13,7 +13,7 @@ from viewshed_ros import nav2
 from viewshed_ros.conversions import INPUTS, stamp_of
 from viewshed_ros.layers import PosedEstimate, clearing
 
-BEAMS, MOST_M = 1080, 12.0
+BEAMS, MAX_M = 1080, 12.0
 GRID = BevGrid(160, 12.0)
 WALLS = [
     ((6.0, -11.0), (6.0, -2.0)), ((6.0, 2.0), (6.0, 11.0)),  # ahead, with a door
@@ -66,10 +66,10 @@ def ranges_at(angle: NDArray[np.float64]) -> NDArray[np.float64]:
 def scan() -> LaserScan:
     """Return what the laser measures: nothing in the directions that the body hides."""
     angle = -math.pi + 2 * math.pi / BEAMS * np.arange(BEAMS)
-    ranges = np.where(ranges_at(angle) <= MOST_M, ranges_at(angle), np.inf)
+    ranges = np.where(ranges_at(angle) <= MAX_M, ranges_at(angle), np.inf)
     ranges[np.abs(angle) > math.pi - BODY_HALF] = np.nan
     message = LaserScan(angle_min=-math.pi, angle_max=math.pi, angle_increment=2 * math.pi / BEAMS)
-    message.range_min, message.range_max, message.ranges = 0.1, MOST_M, ranges.astype(np.float32).tolist()
+    message.range_min, message.range_max, message.ranges = 0.1, MAX_M, ranges.astype(np.float32).tolist()
     message.header.stamp, message.header.frame_id = stamp_of(1), "laser"
     return message
 
@@ -83,7 +83,7 @@ def truth() -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     angle, range_m = np.arctan2(corners[..., 1], corners[..., 0]), np.hypot(corners[..., 0], corners[..., 1])
     by_body = np.abs(angle) > math.pi - BODY_HALF
     before_wall = range_m < ranges_at(angle.ravel()).reshape(angle.shape)
-    within = (range_m <= MOST_M).all(axis=-1)
+    within = (range_m <= MAX_M).all(axis=-1)
     seen = (before_wall & ~by_body).all(axis=-1) & within
     return seen, (by_body | ~before_wall).all(axis=-1) & within
 
@@ -101,7 +101,7 @@ def cleared(with_view: bool) -> NDArray[np.bool_]:
         ends = INPUTS["cloud"].sweep(clearing(view)).points[:, :2]
         costmap.clear_beams(ends.astype(np.float64), nav2.blind_m(estimate))
     else:
-        costmap.clear_frustum(MOST_M)
+        costmap.clear_frustum(MAX_M)
     costmap.mark(sweep.points[:, :2].astype(np.float64))
     return ~costmap.marked
 

@@ -13,7 +13,7 @@ from viewshed.recordings.read.bag_files import open_bag
 from viewshed.recordings.read.rosbag import TF, TRANSFORMS, decoder
 from viewshed.recordings.read.tf_tree import TransformBuffer
 from viewshed_ros.conversions import nanoseconds_of, pose_of, stamp_of
-from viewshed_ros.poses import MOST_POSES, POSE_TOPICS, PoseBuffer, TfPoses, tf_buffer
+from viewshed_ros.poses import MAX_POSES, POSE_TOPICS, PoseBuffer, TfPoses, tf_buffer
 
 RECORDINGS = Path(__file__).resolve().parents[4] / "shared" / "recordings"
 
@@ -60,7 +60,7 @@ def test_a_pose_that_is_not_known_is_not_made_up(times_ns: tuple[int, ...], t_ns
 
 
 def test_memory_is_bounded() -> None:
-    assert len(buffer(*range(1, 10 * MOST_POSES, 5))) == MOST_POSES
+    assert len(buffer(*range(1, 10 * MAX_POSES, 5))) == MAX_POSES
 
 
 def test_poses_in_another_frame_are_refused() -> None:

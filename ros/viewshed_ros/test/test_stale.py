@@ -22,7 +22,7 @@ PARAMETERS = {
     "pose_wait_s": "0.05", "front.topic": "cloud", "front.mounting": "[0.0, 0.0, 1.8, 1.0, 0.0, 0.0, 0.0]",
     "speed_unseen_mps": "2.0",
 }  # fmt: skip
-MOST_AGE_S = 0.6
+MAX_AGE_S = 0.6
 """Of the newest sweep when a stop message is made: .5 s and one period."""
 
 SLACK_S = 0.3
@@ -143,7 +143,7 @@ def test_nav2_stops_when_the_sensor_or_the_poses_stop_and_when_the_node_does(sta
         assert set(mask.data) == {value}
         assert (mask.info.width, mask.info.origin) == (area.width, area.origin)
         age_s = 1e-9 * (nanoseconds_of(mask.header.stamp) - nanoseconds_of(mask.info.map_load_time))
-        assert 0.5 < age_s < MOST_AGE_S + SLACK_S
+        assert 0.5 < age_s < MAX_AGE_S + SLACK_S
     assert late_joiner_stops(robot)
     robot.spin(0.5)
     alarm = robot.got["alarm"][-1]

@@ -1,1 +1,1 @@
-"""viewshed on a ROS 2 graph: clouds and scans in; visibility grids, polygons, doubt, diagnostics and alarms out."""
+"""ROS 2 node of viewshed: takes clouds and scans, publishes visibility grids, polygons, doubt, diagnostics, alarms."""

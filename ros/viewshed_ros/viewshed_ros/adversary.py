@@ -1,6 +1,6 @@
-"""The adversary: takes clouds or detections from a topic and republishes them forged by an attack of the package.
+"""Adversary node for tests: takes clouds or detections from a topic and republishes them, forged by an attack.
 
-For trials of what follows; whatever it does not forge passes as it is, bytes and all.
+Messages that it does not forge pass unchanged.
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ PARAMETERS: dict[str, Parameter] = {
     "count": Parameter(2, "Objects that are forged at a time."),
     "seed": Parameter(0, "Of all that is random."),
 }
-"""Of the node."""
+"""Parameters of the node."""
 
 
 class AdversaryNode(Node):
-    """Forges what comes in, by :data:`PARAMETERS`."""
+    """Forges incoming messages, configured by :data:`PARAMETERS`."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__("viewshed_adversary", **options)
@@ -52,7 +52,7 @@ class AdversaryNode(Node):
         self.get_logger().info(f"{given['attack']} on {given['topic']} from {given['start_s']:g} s on")
 
     def _take_cloud(self, message: PointCloud2) -> None:
-        """Republish a cloud, forged if it is its time."""
+        """Republish a cloud, forged during the attack."""
         try:
             sweep = INPUTS["cloud"].sweep(message)
             forged = self._adversary.sweep(sweep)
@@ -62,7 +62,7 @@ class AdversaryNode(Node):
         self._forged.publish(message if forged is sweep or forged is None else cloud_of(forged, message))
 
     def _take_boxes(self, message: MarkerArray) -> None:
-        """Republish detections, forged if it is their time; their frame must stand still for objects to stand."""
+        """Republish detections, forged during the attack; forged objects stand still in the frame of the message."""
         if not message.markers:
             self._forged.publish(message)
             return

@@ -1,4 +1,4 @@
-"""The center of many agents: takes their signed messages, puts them together, and says whom it trusts."""
+"""Center node: fuses the signed messages of many agents, and publishes its trust in each."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ from viewshed_ros.parameters import Parameter
 from viewshed_ros.spinning import STEADY, spin
 
 VIEWS = QoSProfile(depth=64, reliability=ReliabilityPolicy.BEST_EFFORT)
-"""Of the messages of agents: what is late is of no use any more."""
+"""For messages of agents: late ones are useless."""
 
 TICK_S = 0.1
-"""How often rounds are looked at that wait for an agent."""
+"""Period of checks for rounds that have waited long enough."""
 
 PARAMETERS: dict[str, Parameter] = {
     "agents": Parameter([""], "Names of the agents that are believed to be who they say."),
@@ -38,16 +38,16 @@ PARAMETERS: dict[str, Parameter] = {
     "topic": Parameter("/viewshed/views", "Topic of the messages of all agents."),
     "world_frame": Parameter("map", "Frame of their poses."),
     "slop_s": Parameter(
-        0.1, "Seconds by which reports of one round may lie apart, by the center's clock.", least_and_most=(0.0, 10.0)
+        0.1, "Seconds by which reports of one round may lie apart, by the center's clock.", bounds=(0.0, 10.0)
     ),
-    "diagnostics_hz": Parameter(1.0, "How often /diagnostics is published.", least_and_most=(0.01, 100.0)),
+    "diagnostics_hz": Parameter(1.0, "How often /diagnostics is published.", bounds=(0.01, 100.0)),
     "state": Parameter("", "File that remembers the newest message of each key, so that a restart takes no replay."),
 }
-"""Of the node."""
+"""Parameters of the node."""
 
 
 class CenterNode(Node):
-    """Fuses what agents tell, by :data:`PARAMETERS`."""
+    """Fuses the messages of agents, configured by :data:`PARAMETERS`."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__("viewshed_center", **options)
@@ -76,7 +76,7 @@ class CenterNode(Node):
         self.create_timer(TICK_S, self._tick, clock=STEADY)
 
     def _take(self, message: UInt8MultiArray) -> None:
-        """Take what an agent tells; what is refused is counted with its reason."""
+        """Handle a message of an agent; the receiver counts refused ones by reason."""
         now_ns = self.get_clock().now().nanoseconds
         receipt = self._receiver.receive(bytes(message.data), now_ns)
         received = receipt.message
@@ -90,11 +90,11 @@ class CenterNode(Node):
             return
         try:
             self._publish_all(self._rounds.add(1e-9 * received.t_ns, AgentReport.of_message(received), 1e-9 * now_ns))
-        except Exception as error:  # one message costs no other
+        except Exception as error:  # an error with one message must not stop the others
             self._note([f"{received.agent}: {type(error).__name__}: {error}"])
 
     def _tick(self) -> None:
-        """Publish the rounds that need not wait any longer."""
+        """Publish the rounds that have waited long enough."""
         try:
             self._publish_all(self._rounds.close(1e-9 * self.get_clock().now().nanoseconds))
         except Exception as error:
@@ -103,13 +103,13 @@ class CenterNode(Node):
     def _note(self, notes: list[str]) -> None:
         self._notes = [*self._notes, *notes][-10:]
 
-    def _publish_all(self, done: list[Round]) -> None:
+    def _publish_all(self, rounds: list[Round]) -> None:
         self._note(self._rounds.notes)
-        for each in done:
-            self._publish(each)
+        for done in rounds:
+            self._publish(done)
 
     def _publish(self, done: Round) -> None:
-        """Publish a round: where somebody listens, the joint view; tracks, numbers and trust always."""
+        """Publish a round: tracks, numbers and trust always, the joint view if it has subscribers."""
         self._done, self._count, self._done_s = done, self._count + 1, time.monotonic()
         header = Header(stamp=stamp_of(done.t_ns), frame_id=self._frame)
         self._topics["picture"].publish(String(data=json.dumps(done.numbers())))
@@ -122,7 +122,7 @@ class CenterNode(Node):
             self._topics["visibility"].publish(grid_message(layer, joint.grid, header, joint.world_from_grid))
 
     def _diagnose(self) -> None:
-        """Publish what was taken and refused, whom the center trusts, and who is accused, disputed or missing."""
+        """Publish the counts of messages, and the trust in agents: who is accused, disputed or missing."""
         message = DiagnosticArray()
         message.header.stamp = self.get_clock().now().to_msg()
         lines = self._receiver.summary()
@@ -133,28 +133,28 @@ class CenterNode(Node):
         self._diagnostics.publish(message)
 
     def _trust_status(self) -> DiagnosticStatus:
-        """Return what the last round says of the agents, STALE where it says nothing of now."""
+        """Return the trust in agents after the last round; STALE if that round is too old."""
         status = DiagnosticStatus(name=f"{self.get_name()}: trust", hardware_id="center")
         if self._done is None:
             status.level, status.message = DiagnosticStatus.STALE, "no round yet: nothing is known"
             return status
         silent_s = time.monotonic() - self._done_s
         sentences = self._done.sentences()
-        # A place without objects is no fault.
+        # A scene without objects is no fault.
         status.level = DiagnosticStatus.WARN if set(sentences) - {NO_OBJECTS} else DiagnosticStatus.OK
         if silent_s > HEARD_S:
             sentences.insert(0, f"no round for {silent_s:.1f} s: nothing is known of now")
             status.level = DiagnosticStatus.STALE
         status.message = "; ".join(sentences) or f"{self._count} rounds, nobody contradicts the others"
-        for agent, each in self._done.numbers()["agents"].items():
-            status.values.append(KeyValue(key=f"trust of {agent}", value=f"{each['trust']:.3f}"))
-            if each["refused"]:
-                status.values.append(KeyValue(key=f"refused reports of {agent}", value=str(each["refused"])))
+        for agent, numbers in self._done.numbers()["agents"].items():
+            status.values.append(KeyValue(key=f"trust of {agent}", value=f"{numbers['trust']:.3f}"))
+            if numbers["refused"]:
+                status.values.append(KeyValue(key=f"refused reports of {agent}", value=str(numbers["refused"])))
         return status
 
 
 def topic_name(agent: str) -> str:
-    """Return an agent's name as a part of a topic.
+    """Return an agent's name as a valid part of a topic.
 
     >>> topic_name("car-1.top")
     'car_1_top'

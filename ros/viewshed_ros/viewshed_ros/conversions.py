@@ -1,4 +1,4 @@
-"""Sweeps, times and poses from messages, and back; messages of estimates are in :mod:`viewshed_ros.layers`."""
+"""Convert sweeps, times and poses from and to messages; messages of estimates are in :mod:`viewshed_ros.layers`."""
 
 from __future__ import annotations
 
@@ -36,16 +36,16 @@ def stamp_of(t_ns: int) -> Time:
 
 @dataclass(frozen=True, slots=True)
 class Input:
-    """A type of message that holds a sweep."""
+    """A message type of a sensor."""
 
-    packages: tuple[str, ...]  # of the message, the first that is installed is taken when a sensor uses it
-    name: str  # of the message in them
-    # makes the sweep, without its time; None of messages that hold a packet each
+    packages: tuple[str, ...]  # packages of the message; the first installed one is used
+    name: str  # of the message type
+    # converts a message to a sweep without its time; None if a message holds a single packet
     sweep_of: Callable[[Any], Sweep] | None
-    packet: str = ""  # the attribute that holds the bytes of a packet; empty for messages that hold a sweep
+    packet: str = ""  # attribute with the bytes of a packet; empty if a message holds a sweep
 
     def message_type(self) -> type[Any]:
-        """Return the class of the message."""
+        """Return the message class."""
         for package in self.packages:
             try:
                 return getattr(import_module(f"{package}.msg"), self.name)  # type: ignore[no-any-return]
@@ -54,7 +54,7 @@ class Input:
         raise ValueError(f"type {self.name} needs the package {' or '.join(self.packages)}, which is not installed")
 
     def sweep(self, message: Any, **known: Any) -> Sweep:
-        """Return the sweep of a message at the time of its header, with attributes that are known."""
+        """Return the sweep of a message, with the time of its header and known attributes."""
         if self.sweep_of is None:
             raise ValueError(f"a message of {self.name} holds a packet, no sweep")
         return self.sweep_of(message).replace(t_ns=nanoseconds_of(message.header.stamp), **known)
@@ -62,7 +62,7 @@ class Input:
 
 @dataclass(slots=True)
 class _Cloud:
-    """A cloud whose data numpy sees without a copy."""
+    """A cloud whose data is a numpy view, without a copy."""
 
     height: int
     width: int
@@ -90,14 +90,14 @@ INPUTS = {
     "ouster": Input(("ouster_sensor_msgs", "ouster_ros"), "PacketMsg", None, packet="buf"),
     "ouster_bytes": Input(("std_msgs",), "UInt8MultiArray", None, packet="data"),
 }
-"""What a sensor may send, by the value of its parameter ``type``."""
+"""Message types of sensors, by the value of the parameter ``type``."""
 
 
 _CODES = {"<f4": PointField.FLOAT32, "<u2": PointField.UINT16}
 
 
 def cloud_of(sweep: Sweep, like: PointCloud2) -> PointCloud2:
-    """Return a sweep as a cloud, with those of its columns that it has; the header is that of another one."""
+    """Return a sweep as a cloud with all columns that it has, and with the header of ``like``."""
     table = cloud_table(sweep)
     places: dict[str, Any] = dict(table.dtype.fields or {})
     fields = [

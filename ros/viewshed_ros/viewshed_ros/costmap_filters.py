@@ -1,6 +1,6 @@
-"""What nav2's costmap filters must know about a mask; published where nav2_msgs is installed.
+"""Filter infos that tell nav2's costmap filters how to read a mask; published if nav2_msgs is installed.
 
-Elsewhere nav2's own ``costmap_filter_info_server`` says the same, by ``config/nav2_filter_info.yaml``.
+Otherwise nav2's own ``costmap_filter_info_server`` publishes them, with ``config/nav2_filter_info.yaml``.
 """
 
 from __future__ import annotations
@@ -11,13 +11,13 @@ from typing import Any
 from viewshed_ros.nav2 import SpeedLimits
 
 KEEPOUT, SPEED_IN_MPS = 0, 2
-"""Of ``CostmapFilterInfo.type``."""
+"""Values of ``CostmapFilterInfo.type``."""
 
 _INFOS = {"keepout_filter_info": "keepout_mask", "speed_filter_info": "speed_mask"}
 
 
 def info_types() -> dict[str, type[Any]]:
-    """Return the topics of infos and their type; none where nav2_msgs is not installed."""
+    """Return the topics of infos and their type; empty if nav2_msgs is not installed."""
     try:
         from nav2_msgs.msg import CostmapFilterInfo
     except ImportError:
@@ -26,7 +26,7 @@ def info_types() -> dict[str, type[Any]]:
 
 
 def publish_infos(publishers: Mapping[str, Any], limits: SpeedLimits) -> None:
-    """Publish the infos of a sensor's masks, by its publishers."""
+    """Publish the infos of a sensor's masks."""
     types = info_types()
     for info, mask in _INFOS.items():
         if info in types:
@@ -34,7 +34,7 @@ def publish_infos(publishers: Mapping[str, Any], limits: SpeedLimits) -> None:
 
 
 def info_of(message: Any, mask: str, topic: str, limits: SpeedLimits) -> Any:
-    """Return the message filled for a mask: a speed in m/s is ``multiplier`` times the mask's value."""
+    """Fill the info of a mask and return it; the speed in m/s is ``multiplier`` times the value of the mask."""
     message.type = SPEED_IN_MPS if mask == "speed_mask" else KEEPOUT
     message.filter_mask_topic = topic
     message.base = 0.0

@@ -1,7 +1,6 @@
-"""What is published of an answer, one function a topic: grids, a polygon, markers, and what nav2 takes.
+"""Messages of an answer, one function for each topic: grids, a polygon, markers, and inputs of nav2.
 
-Arrays of messages are set from ``array.array``: from numpy they would be checked element by element, a thousand times
-slower.
+Array fields are set from ``array.array``: numpy arrays would be checked element by element, a thousand times slower.
 """
 
 from __future__ import annotations
@@ -37,16 +36,16 @@ from viewshed_ros.stops import MASK_STOPS, stop_mask
 
 @dataclass(frozen=True, slots=True)
 class PosedEstimate:
-    """One answer with an estimate, and where it stands."""
+    """The estimate of an answer, and its pose."""
 
     estimate: FovEstimate  # in the ``level`` frame of its sensor
     stamp: Any  # of the cloud
-    frame: str  # the frame that grids, polygons and markers are published in
-    frame_from_level: Rigid  # where the ``level`` frame stands in it
-    world_frame: str  # name of the map's frame
-    suspect: NDArray[np.bool_]  # (SECTORS,) bool, the sectors that the monitor suspects
-    speed_mps: float  # from which a vehicle stops within what is seen free ahead
-    limits: nav2.SpeedLimits  # of speed, for nav2
+    frame: str  # of published grids, polygons and markers
+    frame_from_level: Rigid  # pose of the ``level`` frame in it
+    world_frame: str  # name of the map frame
+    suspect: NDArray[np.bool_]  # (SECTORS,) bool, suspect sectors of the monitor
+    speed_mps: float  # from which a vehicle can stop within the free cells ahead
+    limits: nav2.SpeedLimits  # of the speed mask
 
     def header(self) -> Header:
         """Return the header of messages in ``frame``."""
@@ -61,12 +60,12 @@ class PosedEstimate:
 
 @dataclass(frozen=True, slots=True)
 class Unseen:
-    """What stop messages are made of: nothing is seen any more, or not yet."""
+    """Input of stop messages: nothing is seen any more, or nothing yet."""
 
     last: PosedEstimate | None  # the last view
-    world_frame: str  # name of the map's frame
-    area: MapMetaData  # where masks lie in it
-    stamp: Any  # now
+    world_frame: str  # name of the map frame
+    area: MapMetaData  # of masks in the map
+    stamp: Any  # current time
     since: Any  # time of the newest sweep
 
     def view(self) -> PosedEstimate:
@@ -91,12 +90,12 @@ def own_grid(view: PosedEstimate, layer: str) -> OccupancyGrid:
 
 
 def speed_mask(view: PosedEstimate) -> OccupancyGrid:
-    """Return the mask for nav2's SpeedFilter in the map: percent of the greatest speed, 0 for no limit."""
+    """Return the mask for nav2's SpeedFilter in the map: percent of the maximum speed, 0 for no limit."""
     return _mask(view, nav2.speed_values(view.estimate, view.speed_mps, view.limits))
 
 
 def keepout_mask(view: PosedEstimate) -> OccupancyGrid:
-    """Return the mask for nav2's KeepoutFilter in the map: 100 where nothing is seen, 0 where it is."""
+    """Return the mask for nav2's KeepoutFilter in the map: 100 in cells that are not seen, else 0."""
     return _mask(view, nav2.keepout_values(view.estimate))
 
 
@@ -106,7 +105,7 @@ def _mask(view: PosedEstimate, values: NDArray[np.int8]) -> OccupancyGrid:
 
 
 def area_of(view: PosedEstimate) -> MapMetaData:
-    """Return where the masks of a view lie in the map."""
+    """Return the area of a view's masks in the map."""
     grid = nav2.grid_in_the_map(view.estimate.grid, view.world_from_level())
     return _info(grid, stamp_of(view.estimate.t_ns or 0), Rigid.identity())
 
@@ -119,35 +118,35 @@ def _info(grid: BevGrid, stamp: Any, frame_from_grid: Rigid) -> MapMetaData:
 
 
 def grid_message(values: NDArray[np.int8], grid: BevGrid, header: Header, frame_from_grid: Rigid) -> OccupancyGrid:
-    """Return values (cells, cells), x first, as a grid, whose data go along x first."""
+    """Return values (cells, cells), indexed (x, y), as an OccupancyGrid, whose data run along x first."""
     message = OccupancyGrid(header=header, info=_info(grid, header.stamp, frame_from_grid))
     message.data = array("b", values.T.tobytes())
     return message
 
 
 def largest_part(view: PosedEstimate) -> bytes:
-    """Return the largest part of the view as one ring, see :func:`keyhole`: a serialized PolygonStamped.
+    """Return the largest part of the view as one ring (see :func:`keyhole`), a serialized PolygonStamped.
 
-    Thousands of points, each an object of Python, would take longer than all else.
+    Serialized here, because thousands of Python point objects would take longer than everything else.
     """
     parts = view.estimate.polygon().geoms
     corners = keyhole(max(parts, key=lambda part: part.area)) if parts else np.zeros((0, 2))
     on_ground = view.frame_from_level @ np.column_stack([corners, np.zeros(len(corners))])
-    # The points come last: their number, then x, y, z of each.
+    # The points come last in the message: their number, then x, y, z of each.
     empty: bytes = serialize_message(PolygonStamped(header=view.header()))
     return empty[:-4] + len(on_ground).to_bytes(4, "little") + on_ground.astype("<f4").tobytes()
 
 
 def keyhole(polygon: shapely.Polygon) -> NDArray[np.float64]:
-    """Return a polygon of cells, with holes, as one ring (N, 2) of its area: bridges without width lead to the holes.
+    """Return a polygon of cells with holes as one ring (N, 2): zero-width bridges connect the holes.
 
     >>> ring = shapely.box(0, 0, 3, 3).difference(shapely.box(1, 1, 2, 2))
     >>> round(shapely.LinearRing(keyhole(ring)).length, 6)  # 12 m outside, 4 m inside, 1 m to the hole and back
     18.0
     """
-    polygon = orient(polygon)  # holes turn the other way
+    polygon = orient(polygon)  # exterior counter-clockwise, holes clockwise
     rings = [np.asarray(ring.coords)[:-1] for ring in (polygon.exterior, *polygon.interiors)]
-    # 1. The upright edges (E,) of all rings: where they stand, and the ring and the corner at which they begin.
+    # 1. The vertical edges (E,) of all rings: x, y of both ends, ring, and corner at which the edge begins.
     begin, end = np.vstack(rings), np.vstack([np.roll(ring, -1, axis=0) for ring in rings])
     owner = np.repeat(np.arange(len(rings)), [len(ring) for ring in rings])
     corner = np.concatenate([np.arange(len(ring)) for ring in rings])
@@ -155,33 +154,33 @@ def keyhole(polygon: shapely.Polygon) -> NDArray[np.float64]:
     x, y, y_end, owner, corner = begin[upright, 0], begin[upright, 1], end[upright, 1], owner[upright], corner[upright]
     low, high = np.minimum(y, y_end), np.maximum(y, y_end)
     # 2. From the leftmost edge of each hole a bridge goes left to the next edge. It begins at the golden section of its
-    #    edge, so that it meets no corner. A hole at which it ends begins farther left: bridges make no circle.
+    #    edge, so that it hits no corner. A hole that it hits extends farther left, so bridges form no cycle.
     leftmost = np.lexsort((x, owner))[np.searchsorted(np.sort(owner), np.arange(1, len(rings)))]
     at_y = low[leftmost] + _GOLDEN * (high[leftmost] - low[leftmost])
-    is_met = (x < x[leftmost, None]) & (low < at_y[:, None]) & (at_y[:, None] < high)
-    met = np.where(is_met, x, -np.inf).argmax(axis=1)
-    # 3. Join the rings, those that begin farthest right first: what a ring is given is whole by then.
-    given: list[list[tuple[int, float, NDArray[np.float64]]]] = [[] for _ in rings]
+    is_hit = (x < x[leftmost, None]) & (low < at_y[:, None]) & (at_y[:, None] < high)
+    hit = np.where(is_hit, x, -np.inf).argmax(axis=1)
+    # 3. Join the rings, rightmost first, so that the detours of a ring are complete when it is joined itself.
+    detours: list[list[tuple[int, float, NDArray[np.float64]]]] = [[] for _ in rings]
     for hole in np.argsort(-x[leftmost]):
-        first, last = leftmost[hole], met[hole]
+        first, last = leftmost[hole], hit[hole]
         there, here = np.array([[x[first], at_y[hole]], [x[last], at_y[hole]]])
-        loop = _joined(np.roll(rings[hole + 1], -1 - corner[first], axis=0), given[hole + 1])
+        loop = _with_detours(np.roll(rings[hole + 1], -1 - corner[first], axis=0), detours[hole + 1])
         # Corners of a hole are counted from the end of the edge at which its bridge begins.
         start = 0 if owner[last] == 0 else 1 + corner[leftmost[owner[last] - 1]]
         place = int((corner[last] - start) % len(rings[owner[last]]))
-        given[owner[last]].append((place, abs(at_y[hole] - y[last]), np.vstack([here, there, loop, there, here])))
-    return _joined(rings[0], given[0])
+        detours[owner[last]].append((place, abs(at_y[hole] - y[last]), np.vstack([here, there, loop, there, here])))
+    return _with_detours(rings[0], detours[0])
 
 
 _GOLDEN = (5.0**0.5 - 1.0) / 2.0
 
 
-def _joined(
-    ring: NDArray[np.float64], given: list[tuple[int, float, NDArray[np.float64]]]
+def _with_detours(
+    ring: NDArray[np.float64], detours: list[tuple[int, float, NDArray[np.float64]]]
 ) -> NDArray[np.float64]:  # fmt: skip
-    """Return a ring (N, 2) with detours, each after a corner's number and so far along the edge that begins there."""
+    """Return a ring (N, 2) with detours (corner, distance along the edge that begins there, points) inserted."""
     parts, done = [], 0
-    for place, _, detour in sorted(given, key=lambda each: each[:2]):
+    for place, _, detour in sorted(detours, key=lambda detour: detour[:2]):
         parts += [ring[done : place + 1], detour]
         done = place + 1
     return np.vstack([*parts, ring[done:]])
@@ -192,7 +191,7 @@ def markers(view: PosedEstimate) -> MarkerArray:
     rings = shapely.get_rings(view.estimate.polygon().geoms)
     corners = [Point(x=x, y=y) for x, y in shapely.get_coordinates(rings).tolist()]
     ends = np.cumsum(shapely.get_num_coordinates(rings)).tolist()
-    # A LINE_LIST takes the two ends of each line; no line leads from the last corner of a ring to the next ring.
+    # A LINE_LIST takes both ends of each line; there is no line from the last corner of a ring to the next ring.
     lines = [
         point for first, last in pairwise([0, *ends]) for at in range(first, last - 1) for point in corners[at : at + 2]
     ]
@@ -214,7 +213,7 @@ def _marker(view: PosedEstimate, name: str, kind: int, points: list[Point], colo
 
 
 def clearing(view: PosedEstimate) -> PointCloud2:
-    """Return virtual ends of beams at the sensor's height: what lies before each is FREE, and may be cleared."""
+    """Return virtual beam ends at the sensor's height; cells before each end are FREE and may be cleared."""
     ends = nav2.clearing_ends(view.estimate)
     height_m = 0.0 if view.estimate.basis is None else view.estimate.basis.sensor_height_m
     points = view.frame_from_level @ np.column_stack([ends, np.full(len(ends), height_m)])
@@ -228,17 +227,17 @@ def clearing(view: PosedEstimate) -> PointCloud2:
 
 
 def obstruction(view: PosedEstimate) -> String:
-    """Return what hides the view from the beginning as the value of STVL's ``obstruction_polygons``."""
+    """Return permanently obstructed directions as the value of STVL's ``obstruction_polygons``."""
     return String(data=nav2.obstruction_polygons(view.estimate))
 
 
 def _unseen(make: Callable[[PosedEstimate], Any]) -> Callable[[Unseen], Any]:
-    """Return what makes the stop message of a layer: the layer of a view in which every cell is UNKNOWN."""
+    """Return a function that makes the stop message of a layer: the layer of a view with all cells UNKNOWN."""
     return lambda unseen: make(unseen.view())
 
 
 def _stopped(mask: str) -> Callable[[Unseen], OccupancyGrid]:
-    """Return what makes the stop message of a mask: cells that no filter of nav2 skips, also where no view was."""
+    """Return a function that makes the stop message of a mask, with values that nav2's filters do not skip."""
 
     def make(unseen: Unseen) -> OccupancyGrid:
         area = copy(unseen.area)
@@ -250,12 +249,12 @@ def _stopped(mask: str) -> Callable[[Unseen], OccupancyGrid]:
 
 @dataclass(frozen=True, slots=True)
 class Layer:
-    """A topic that is made from a view."""
+    """A topic of messages made from a view."""
 
-    message_type: type[Any]  # of its messages
-    make: Callable[[PosedEstimate], Any]  # makes one, or its bytes
-    latched: bool  # whether who comes late is given the last
-    # makes what replaces a message that is too old; None where that claims nothing of what is clear
+    message_type: type[Any]
+    make: Callable[[PosedEstimate], Any]  # makes a message, or its bytes
+    latched: bool  # whether late subscribers receive the last message
+    # makes the stop message; None if an old message does not claim that anything is clear
     stop: Callable[[Unseen], Any] | None
 
 
@@ -274,4 +273,4 @@ LAYERS = {
     "clearing": _layer(PointCloud2, clearing, latched=False),
     "obstruction": Layer(String, obstruction, latched=True, stop=None),
 }
-"""The topics of a sensor that are made from an estimate, by name below the sensor's."""
+"""The topics of a sensor made from an estimate, by their name below the sensor's."""

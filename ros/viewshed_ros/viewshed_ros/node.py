@@ -1,4 +1,4 @@
-"""The lifecycle node: sensors of a robot in, their fields of view out, through one pipeline."""
+"""The lifecycle node: takes messages of a robot's sensors, publishes their fields of view, through one pipeline."""
 
 from __future__ import annotations
 
@@ -31,26 +31,26 @@ from viewshed_ros.layers import LAYERS, PosedEstimate, Unseen, area_of
 from viewshed_ros.object_layers import OBJECT_LAYERS, ObjectsView
 from viewshed_ros.outlets import FrameVote, Outlet, Sensor
 from viewshed_ros.packets import Revolution, Revolutions
-from viewshed_ros.parameters import OF_PROFILE, NodeSettings, SensorSettings
+from viewshed_ros.parameters import FROM_PROFILE, NodeSettings, SensorSettings
 from viewshed_ros.spinning import STEADY, until_a_signal
 from viewshed_ros.stops import CHECK_S, LATCHED, MASK_STOPS, Stale, stale_alarm
 
 NO_EVENTS = PublisherEventCallbacks(use_default_callbacks=False)
-"""Each event of each publisher would be waited for anew at every message, which takes longer than a laser scan;
-subscribers still say themselves where their quality of service does not fit."""
+"""No publisher events: with them the executor waits for each event of each publisher anew at every message, which takes
+longer than a laser scan. Subscribers still report an incompatible quality of service."""
 
 PACKETS = QoSProfile(depth=256, reliability=ReliabilityPolicy.BEST_EFFORT)
-"""Of sensors that send packets: two revolutions of most of them."""
+"""For sensors that send packets: two revolutions of most of them."""
 
 VIEWS = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
-"""Of what agents tell each other: what is late is of no use any more."""
+"""For messages between agents: late ones are useless."""
 
 LIVE = QoSProfile(depth=5)
-"""Reliable, for who is there."""
+"""Reliable, but not kept for late subscribers."""
 
 
 ALARM, VIEWS_TOPIC = "alarm", "views"
-"""Outlets of a sensor that are no layers: its alarm, and what is shared with other agents."""
+"""Outlets of a sensor that are no layers: its alarm, and messages to other agents."""
 
 
 class FieldOfView(LifecycleNode):
@@ -67,7 +67,7 @@ class FieldOfView(LifecycleNode):
         self._poses: poses.PoseSource | None = None
         self._sensors: dict[str, Sensor] = {}
         self._facts: dict[str, str] = {}
-        self._speaker: Any = None
+        self._signer: Any = None
         self._destroy: list[Callable[[], object]] = []
         self._diagnostics: Any = None
         self._diagnostics_timer: Any = None
@@ -77,27 +77,27 @@ class FieldOfView(LifecycleNode):
     # Transitions of the lifecycle
 
     def _LifecycleNodeMixin__change_state(self, transition_id: int) -> TransitionCallbackReturn:  # noqa: N802
-        """Refuse a transition that the state of now does not have: rclpy lets it end the process (its issue 1209)."""
+        """Refuse a transition that the current state does not have; rclpy would end the process (its issue 1209)."""
         if transition_id not in {possible[0] for possible in self._state_machine.available_transitions}:
             self.get_logger().error(f"no transition {transition_id} from state {self._state_machine.current_state[1]}")
             return TransitionCallbackReturn.FAILURE
         return super()._LifecycleNodeMixin__change_state(transition_id)
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Load what is needed and announce the topics."""
+        """Load estimator and monitor, and create the topics."""
         try:
             self._configure(parameters.read(self))
-        except Exception as error:  # whatever it is: rclpy would drop it without a word
+        except Exception as error:  # rclpy would drop any error silently
             self.get_logger().error(f"not configured: {' '.join(str(error).split())}")
             self._release()
             return TransitionCallbackReturn.FAILURE
         return super().on_configure(state)
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Begin to listen."""
+        """Subscribe to the sensors."""
         try:
             self._listen()
-        except Exception as error:  # a topic's name, for example
+        except Exception as error:  # an invalid topic name, for example
             self.get_logger().error(f"not activated: {' '.join(str(error).split())}")
             self._stop_listening()
             return TransitionCallbackReturn.FAILURE
@@ -105,7 +105,7 @@ class FieldOfView(LifecycleNode):
         for sensor in self._sensors.values():
             publishers = {name: outlet.publisher for name, outlet in sensor.outlets.items()}
             costmap_filters.publish_infos(publishers, self._settings_now().limits)
-            # Until the first view masks and alarm say that there is none.
+            # Until the first view, masks and alarm report that there is none.
             for name, outlet in sensor.outlets.items():
                 outlet.is_open = True
                 if name in MASK_STOPS or name == ALARM:
@@ -115,28 +115,28 @@ class FieldOfView(LifecycleNode):
         return returned
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Claim nothing more and stop listening; what was learned of the streams is kept."""
+        """Publish stop messages and unsubscribe; the state of the streams is kept."""
         self._close_outlets()
         self._stop_listening()
         return super().on_deactivate(state)
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Forget everything but the parameters."""
+        """Release everything except the parameters."""
         self._release()
         return TransitionCallbackReturn.SUCCESS
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Claim nothing more and end for good."""
+        """Publish stop messages and release everything."""
         self._close_outlets()
         self._release()
         return TransitionCallbackReturn.SUCCESS
 
     def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Begin anew, unconfigured, after a transition that failed."""
+        """Return to the unconfigured state after a failed transition."""
         self._release()
         return TransitionCallbackReturn.SUCCESS
 
-    # What the transitions do
+    # Implementation of the transitions
 
     def _settings_now(self) -> NodeSettings:
         if self._settings is None:
@@ -145,7 +145,7 @@ class FieldOfView(LifecycleNode):
 
     def _configure(self, settings: NodeSettings) -> None:
         self._settings, self._limit = settings, RateLimit(settings.rate_hz)
-        # 1. What estimates and watches; whatever is loaded once is loaded here.
+        # 1. Estimator and monitor; all one-time loading happens here.
         estimator = load_estimator(
             settings.method, grid=settings.grid, target=settings.target,
             weights=settings.weights or None, passes=settings.passes or None,
@@ -158,14 +158,14 @@ class FieldOfView(LifecycleNode):
             "grid": settings.grid or "that of the weights", "history": str(settings.history),
             "monitor": "off" if monitor is None else settings.monitor_file or "shipped",
         }  # fmt: skip
-        # 2. Where poses are from, and what is published.
+        # 2. Source of poses, and publishers.
         self._poses = self._pose_source(settings)
-        self._sensors = {each.name: self._sensor(each) for each in settings.sensors}
+        self._sensors = {sensor.name: self._sensor(sensor) for sensor in settings.sensors}
         self._diagnostics = self._publisher(DiagnosticArray, "/diagnostics", LIVE)
         self._diagnose_at(settings.diagnostics_hz)
         watch = self.create_timer(CHECK_S, self._watch, clock=STEADY)
         self._destroy.append(partial(self.destroy_timer, watch))
-        # 3. The threads that do it.
+        # 3. The threads of the pipeline.
         history = SweepBuffer(settings.history) if settings.history else None
         self._pipeline = Pipeline(
             estimator, self._publish, history=history, monitor=monitor, rules=settings.profile.rules,
@@ -181,12 +181,12 @@ class FieldOfView(LifecycleNode):
         self._diagnostics_timer = self.create_timer(1.0 / hz, self._diagnose, clock=STEADY) if hz else None
 
     def _objects(self, settings: NodeSettings) -> Any:
-        """Return what follows objects, or None; and prepare to tell others, where that is wanted."""
+        """Return the detector and tracker of objects, or None; with an agent, also set up messages to other agents."""
         if settings.agent:
-            from viewshed.agents.signing import read_signing_key  # needs packages that other nodes do without
-            from viewshed_ros.sharing import Speaker
+            from viewshed.agents.signing import read_signing_key  # needs packages that other nodes do not need
+            from viewshed_ros.sharing import ViewSigner
 
-            self._speaker = Speaker(read_signing_key(settings.agent, settings.agent_key), settings.world_frame)
+            self._signer = ViewSigner(read_signing_key(settings.agent, settings.agent_key), settings.world_frame)
             views = self._publisher(UInt8MultiArray, settings.agent_topic, VIEWS)
             self._sensors[settings.sensors[0].name].outlets[VIEWS_TOPIC] = Outlet(views)
         if not (settings.objects or settings.agent):
@@ -196,9 +196,9 @@ class FieldOfView(LifecycleNode):
         return ObjectStream()
 
     def _monitor(self, settings: NodeSettings) -> StreamMonitor | None:
-        """Return what watches the streams, by a file or by the shipped one; None where it is off."""
-        wished = settings.profile.monitor if settings.monitor == OF_PROFILE else settings.monitor == "always"
-        if not wished:
+        """Return the monitor, from a file or the shipped one; None if it is off."""
+        is_on = settings.profile.monitor if settings.monitor == FROM_PROFILE else settings.monitor == "always"
+        if not is_on:
             return None
         return StreamMonitor.of_file(settings.monitor_file) if settings.monitor_file else StreamMonitor()
 
@@ -250,7 +250,7 @@ class FieldOfView(LifecycleNode):
         for sensor in self._sensors.values():
             settings = sensor.settings
             take = self._take if settings.revolutions is None else self._take_packet
-            # Packets come some hundred times for each revolution: more of them may wait than of clouds.
+            # A revolution has some hundred packets, so their queue is longer than that of clouds.
             qos = qos_profile_sensor_data if settings.revolutions is None else PACKETS
             sensor.subscription = self.create_subscription(
                 settings.input.message_type(), settings.topic, partial(take, sensor), qos,
@@ -265,41 +265,41 @@ class FieldOfView(LifecycleNode):
                 sensor.subscription = None
 
     def _close_outlets(self) -> None:
-        """Replace what was published by stop messages, after which nothing more is published."""
+        """Publish stop messages in place of the last messages, and nothing after that."""
         self._is_active, now_s = False, time.monotonic()
         for sensor in self._sensors.values():
             for outlet in sensor.outlets.values():
                 self._stop_one(sensor, partial(outlet.close, now_s))
 
     def _release(self) -> None:
-        """Undo what was configured, the threads first: they use the rest."""
+        """Release everything that was configured, the threads first, because they use the rest."""
         self._is_active = False
         self._stop_listening()
         pipeline, destroy, self._pipeline, self._destroy = self._pipeline, self._destroy, None, []
         try:
             if pipeline is not None:
                 pipeline.close()
-        except Exception as error:  # what hung or failed in it keeps nothing else
+        except Exception as error:  # release the rest even if the pipeline hung or failed
             self.get_logger().error(f"the pipeline did not end well: {' '.join(str(error).split())}")
         if self._diagnostics_timer is not None:
             self.destroy_timer(self._diagnostics_timer)
-        for each in destroy:
-            each()
+        for destroy_one in destroy:
+            destroy_one()
         self._diagnostics = self._diagnostics_timer = None
         self._sensors, self._poses, self._settings = {}, None, None
-        self._speaker = None
+        self._signer = None
 
     # Messages in
 
     def _take(self, sensor: Sensor, message: Any) -> None:
-        """Put in a message that holds a sweep."""
+        """Queue the sweep of a message."""
         sensor.counts.received += 1
         sensor.frames.add(message.header.frame_id.lstrip("/"), time.monotonic())
         source = partial(self._sweep, sensor, message)
         self._put(sensor, nanoseconds_of(message.header.stamp), source)
 
     def _take_packet(self, sensor: Sensor, message: Any) -> None:
-        """Gather packets, and put in the revolution that one ends; its time is that of the node's clock."""
+        """Collect packets, and queue each completed revolution; its time is that of the node's clock."""
         revolutions = sensor.settings.revolutions
         if revolutions is None:
             raise RuntimeError("the sensor sends no packets")
@@ -314,7 +314,7 @@ class FieldOfView(LifecycleNode):
             self._put(sensor, revolution.t_ns, partial(self._sweep_of_packets, sensor, revolutions, revolution))
 
     def _put(self, sensor: Sensor, t_ns: int, source: Callable[[], Sweep]) -> None:
-        """Put a sweep in, unless it comes sooner after the one before than the rate allows."""
+        """Queue a sweep unless it exceeds the rate."""
         if not self._limit.takes(sensor.settings.name, t_ns):
             sensor.counts.skipped += 1
         elif self._pipeline is not None:
@@ -322,21 +322,21 @@ class FieldOfView(LifecycleNode):
             self._pipeline.put(source, sensor.settings.name)
 
     def _sweep_of_packets(self, sensor: Sensor, revolutions: Revolutions, revolution: Revolution) -> Sweep:
-        """Return the sweep of a revolution's packets; the pipeline calls this in its thread."""
+        """Return the sweep of a revolution's packets; called in the pipeline's thread."""
         sensor.frames.frame = sensor.settings.frame or sensor.settings.name
         pose = self._pose(sensor, revolution.t_ns)
         sweep = revolutions.sweep(revolution)
         return sweep.replace(agent=sensor.settings.name, world_from_sensor=pose, **sensor.settings.changes)
 
     def _sweep(self, sensor: Sensor, message: Any) -> Sweep:
-        """Return the sweep of a message with what is known of its sensor; the pipeline calls this in its thread."""
+        """Return the sweep of a message with the sensor's known attributes; called in the pipeline's thread."""
         sensor.frames.check(message.header.frame_id.lstrip("/"))
         known = sensor.settings.changes
         pose = self._pose(sensor, nanoseconds_of(message.header.stamp))
         return sensor.settings.input.sweep(message, agent=sensor.settings.name, world_from_sensor=pose, **known)
 
     def _pose(self, sensor: Sensor, t_ns: int) -> Rigid | None:
-        """Return where a sensor stood; None, counted, where it is not known: the sweep is taken by itself."""
+        """Return the pose of a sensor; if it is unknown, count that and return None."""
         if self._poses is None:
             return None
         try:
@@ -347,7 +347,7 @@ class FieldOfView(LifecycleNode):
             return None
 
     def _take_pose(self, buffer: poses.PoseBuffer, message: Any) -> None:
-        """Keep a pose; one that is none is counted."""
+        """Buffer a pose; count it if it is refused."""
         try:
             buffer.add(message)
         except ValueError as error:
@@ -357,9 +357,9 @@ class FieldOfView(LifecycleNode):
     # Answers out
 
     def _publish(self, answer: Answer) -> None:
-        """Publish of an answer what somebody listens to; the pipeline calls this in its thread."""
+        """Publish an answer on the topics that have subscribers; called in the pipeline's thread."""
         sensor = self._sensors[answer.agent]
-        # 1. What it shows, since when, and whether that is too old already.
+        # 1. The view, when its sweep arrived, and whether it is too old already.
         view, now_s = self._counted_view(sensor, answer), time.monotonic()
         t_ns = None if answer.estimate is None else answer.estimate.t_ns
         seen_s = sensor.arrival_s(t_ns, now_s - answer.latency_s)
@@ -370,13 +370,13 @@ class FieldOfView(LifecycleNode):
                 sensor.area = area_of(view)
             if view.estimate.world_from_level is not None or self._poses is None:
                 sensor.newest_s = seen_s
-        # 2. The alarm, whose last one who comes late is given. It grows stale with the masks, also while views without
-        # a pose come in.
+        # 2. The alarm, always, because it is latched. It becomes stale with the masks, also while views without a pose
+        # come in.
         stale = self._stale(sensor, now_s, is_late=is_late)
         make = partial(status.alarm, f"{self.get_name()}: {answer.agent}", answer, stale)
         since_s = now_s if stale is not None or sensor.newest_s is None else sensor.newest_s
         self._publish_one(sensor, ALARM, make, since_s, always=True)
-        # 3. The layers; what is too late is left to the watch, as is what has no pose.
+        # 3. The layers; for late views and views without a pose, :meth:`_watch` publishes stop messages.
         if view is None:
             return
         if is_late:
@@ -387,7 +387,7 @@ class FieldOfView(LifecycleNode):
         self._publish_objects(sensor, answer, seen_s)
 
     def _counted_view(self, sensor: Sensor, answer: Answer) -> PosedEstimate | None:
-        """Return an answer with where it stands; None, counted, where it has no estimate or lacks its pose."""
+        """Return an answer with its pose; if estimate or required pose is missing, count that and return None."""
         if answer.notes:
             sensor.counts.last_note = answer.notes[0]
         if answer.estimate is None:
@@ -402,7 +402,7 @@ class FieldOfView(LifecycleNode):
             return None
 
     def _publish_objects(self, sensor: Sensor, answer: Answer, seen_s: float) -> None:
-        """Publish the objects of an answer, and tell other agents of it, where that is wanted."""
+        """Publish the objects of an answer, and the message to other agents, if configured."""
         settings, objects, leveled = self._settings_now(), answer.objects, answer.leveled
         if settings.objects and objects is not None and leveled is not None:
             stamp = stamp_of(leveled.sweep.t_ns or 0)
@@ -410,20 +410,20 @@ class FieldOfView(LifecycleNode):
             view = ObjectsView(objects, stamp, sensor.frames.frame, frame_from_level, settings.world_frame)
             for topic, layer in OBJECT_LAYERS.items():
                 self._publish_one(sensor, topic, partial(layer.make, view), seen_s)
-        if self._speaker is not None:
-            self._publish_one(sensor, VIEWS_TOPIC, partial(self._speaker.message, answer), seen_s)
+        if self._signer is not None:
+            self._publish_one(sensor, VIEWS_TOPIC, partial(self._signer.message, answer), seen_s)
 
     def _publish_one(
         self, sensor: Sensor, topic: str, make: Callable[[], Any], seen_s: float, *, always: bool = False
     ) -> None:  # fmt: skip
-        """Make and publish a message where somebody listens; one that cannot be made is counted, the others go out."""
+        """Make and publish a message if the topic has subscribers; count errors, which must not stop the others."""
         try:
             sensor.outlets[topic].publish(make, seen_s, always=always)
         except Exception as error:
             sensor.counts.count(f"not published: {error}")
 
     def _view(self, sensor: Sensor, answer: Answer) -> PosedEstimate:
-        """Return an answer with where it stands."""
+        """Return an answer with its pose in the output frame."""
         settings, estimate, leveled = self._settings_now(), answer.estimate, answer.leveled
         if estimate is None or leveled is None:
             raise ValueError("an answer without an estimate has no view")
@@ -437,15 +437,15 @@ class FieldOfView(LifecycleNode):
             answer.reaction.suspect, answer.speed_mps, settings.limits,
         )  # fmt: skip
 
-    # What is too old
+    # Stale views
 
     def _limit_s(self, sensor: Sensor) -> float:
-        """Return the age from which a view of a sensor is too old."""
+        """Return the age in seconds beyond which a view of a sensor is stale."""
         settings = self._settings_now()
         return max(settings.stale_s, settings.stale_periods * sensor.pace.period_s())
 
     def _stale(self, sensor: Sensor, now_s: float, *, is_late: bool = False) -> Stale | None:
-        """Return why nothing is claimed of a sensor's view; None where its newest one is not too old."""
+        """Return why a sensor's view is stale; None if its newest view is not too old."""
         limit_s = self._limit_s(sensor)
         age_s = math.inf if sensor.newest_s is None else now_s - sensor.newest_s
         if age_s <= limit_s and not is_late:
@@ -454,7 +454,7 @@ class FieldOfView(LifecycleNode):
         return Stale(what, age_s, limit_s, self._settings_now().limits.unseen_mps)
 
     def _watch(self) -> None:
-        """Replace what is too old by stop messages, whatever the cause; then tell the watchdog that this is done."""
+        """Replace messages that are too old by stop messages, whatever the cause; then publish the heartbeat."""
         if not self._is_active:
             return
         settings, now_s = self._settings_now(), time.monotonic()
@@ -469,23 +469,23 @@ class FieldOfView(LifecycleNode):
                 sensor.heartbeat.publish(OccupancyGrid(header=header, info=sensor.area))
 
     def _stop_one(self, sensor: Sensor, stop: Callable[[], None]) -> bool:
-        """Replace what one topic reported, and return whether that could be done."""
+        """Publish a stop message on one topic, and return whether that succeeded."""
         try:
             stop()
-        except Exception as error:  # a context that has been shut down, say; the watchdog stops the vehicle then
+        except Exception as error:  # a context that was shut down, for example; then the watchdog stops the vehicle
             sensor.counts.count(f"no stop message: {' '.join(str(error).split())}")
             return False
         return True
 
     def _stop_message(self, name: str, stop: Callable[[Unseen], Any]) -> Any:
-        """Return the stop message of a layer: of now, since the newest sweep."""
+        """Return the stop message of a layer, with the current time and that of the newest sweep."""
         sensor, now = self._sensors[name], self.get_clock().now().nanoseconds
         age_s = 0.0 if sensor.newest_s is None else time.monotonic() - sensor.newest_s
         stamp, since = stamp_of(now), stamp_of(max(now - round(1e9 * age_s), 0))
         return stop(Unseen(sensor.last_view, self._settings_now().world_frame, sensor.area, stamp, since))
 
     def _stop_alarm(self, name: str) -> DiagnosticStatus:
-        """Return the alarm of a sensor whose view is too old, or that is watched no more."""
+        """Return the alarm of a sensor whose view is stale, or whose node stops publishing."""
         stale = self._stale(self._sensors[name], time.monotonic(), is_late=True)
         assert stale is not None
         return stale_alarm(f"{self.get_name()}: {name}", stale)
@@ -493,23 +493,23 @@ class FieldOfView(LifecycleNode):
     # Parameters
 
     def _check_parameters(self, changed: Sequence[Parameter]) -> SetParametersResult:
-        """Refuse values that make no sense, and changes that need another configuration."""
+        """Refuse invalid values, and changes that need a new configuration."""
         try:
-            for each in changed:
-                if self.has_parameter(each.name):
-                    is_same = each.value == self.get_parameter(each.name).value
-                    parameters.check_change(each.name, each.value, is_configured=bool(self._settings) and not is_same)
+            for one in changed:
+                if self.has_parameter(one.name):
+                    is_same = one.value == self.get_parameter(one.name).value
+                    parameters.check_change(one.name, one.value, is_configured=bool(self._settings) and not is_same)
             if self._settings is not None:
-                parameters.changed(self._settings, {each.name: each.value for each in changed})
-        except Exception as error:  # whatever it is: rclpy would end the node
+                parameters.changed(self._settings, {one.name: one.value for one in changed})
+        except Exception as error:  # rclpy would end the node on any error
             return SetParametersResult(successful=False, reason=" ".join(str(error).split()))
         return SetParametersResult(successful=True)
 
     def _apply_parameters(self, changed: Sequence[Parameter]) -> None:
-        """Let changes that are possible at run time hold from now on."""
+        """Apply changes that are possible at run time."""
         if self._settings is None:
             return
-        before, now = self._settings, parameters.changed(self._settings, {each.name: each.value for each in changed})
+        before, now = self._settings, parameters.changed(self._settings, {one.name: one.value for one in changed})
         self._settings = now
         if now.rate_hz != before.rate_hz:
             self._limit = RateLimit(now.rate_hz)
@@ -521,7 +521,7 @@ class FieldOfView(LifecycleNode):
     # Diagnostics
 
     def _diagnose(self) -> None:
-        """Publish how the pipeline and the sensors are."""
+        """Publish the diagnostics of pipeline and sensors."""
         if self._pipeline is None:
             return
         now_s = time.monotonic()
@@ -530,7 +530,7 @@ class FieldOfView(LifecycleNode):
         message.header.stamp = self.get_clock().now().to_msg()
         message.status = [
             status.pipeline_status(self.get_name(), self._pipeline.statistics(), self._facts),
-            *(self._sensor_status(name, each, passed_s) for name, each in self._sensors.items()),
+            *(self._sensor_status(name, sensor, passed_s) for name, sensor in self._sensors.items()),
         ]
         self._diagnostics.publish(message)
 
@@ -544,13 +544,13 @@ class FieldOfView(LifecycleNode):
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Run the node until a signal ends it; one that comes while it starts ends it as well."""
+    """Run the node until a signal ends it, also during startup."""
     prepare_process()
     with until_a_signal(arguments):
         node = FieldOfView()
         try:
-            is_wanted = node.get_parameter("autostart").value
-            if is_wanted and node.trigger_configure() == TransitionCallbackReturn.SUCCESS:
+            is_autostart = node.get_parameter("autostart").value
+            if is_autostart and node.trigger_configure() == TransitionCallbackReturn.SUCCESS:
                 node.trigger_activate()
             rclpy.spin(node)
         finally:

@@ -1,4 +1,4 @@
-"""Ouster's packets, one a message, as the revolutions that they are of."""
+"""Collect Ouster packets, one per message, into revolutions."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from viewshed.io.messages.packets import sweep_of_ouster
 from viewshed.io.ouster_packets import OusterDecoder, read_metadata
 from viewshed.sweep import Sweep
 
-_LONGEST_NS = 1_000_000_000
-"""Of a revolution; what was gathered before a longer gap is no view of now, and one number for ever fills no memory."""
+_MAX_REVOLUTION_NS = 1_000_000_000
+"""Maximum duration of a revolution; older packets are discarded, so that a repeated frame number fills no memory."""
 
 
 @dataclass(frozen=True, slots=True)
 class Packet:
-    """One packet of an Ouster sensor, as ``PacketMsg`` holds it."""
+    """One packet of an Ouster sensor, like ``PacketMsg``."""
 
     buf: bytes
 
@@ -25,13 +25,13 @@ class Packet:
 class Revolution:
     """The packets of one revolution."""
 
-    packets: tuple[Packet, ...]  # in the order in which they came
-    t_ns: int  # when the first one came
+    packets: tuple[Packet, ...]  # in order of arrival
+    t_ns: int  # arrival of the first packet
 
 
 @dataclass(slots=True)
 class Revolutions:
-    """Gathers packets, which come one by one, into revolutions."""
+    """Collects single packets into revolutions."""
 
     decoder: OusterDecoder  # of the sensor
     _packets: list[Packet] = field(default_factory=list)
@@ -41,18 +41,18 @@ class Revolutions:
 
     @classmethod
     def of(cls, metadata: str | Path) -> Revolutions:
-        """Return what gathers the packets of the sensor that a file of its metadata describes."""
+        """Return a collector for the sensor described by a metadata file."""
         return cls(OusterDecoder(read_metadata(Path(metadata))))
 
     def add(self, data: Any, t_ns: int) -> Revolution | None:
-        """Take a packet; return the revolution before where it begins another.
+        """Add a packet; return the completed revolution if the packet begins a new one.
 
         Args:
-            data: its bytes, as the message's array holds them.
-            t_ns: when it came.
+            data: its bytes, an array of the message.
+            t_ns: its arrival.
         """
         packet = Packet(bytes(data))
-        if not 0 <= t_ns - self._begin_ns <= _LONGEST_NS:
+        if not 0 <= t_ns - self._begin_ns <= _MAX_REVOLUTION_NS:
             self._packets, self._number, self._before = [], None, None
         number = self.decoder.frame_number(packet.buf)
         if number is None:
@@ -60,14 +60,14 @@ class Revolutions:
             raise ValueError(f"a packet must be a lidar packet of {size} bytes of this sensor, got {len(packet.buf)}")
         if number == self._before:  # late
             return None
-        ended = None
+        completed = None
         if number != self._number:
             if self._packets:
-                ended, self._before = Revolution(tuple(self._packets), self._begin_ns), self._number
+                completed, self._before = Revolution(tuple(self._packets), self._begin_ns), self._number
             self._packets, self._number, self._begin_ns = [], number, t_ns
         self._packets.append(packet)
-        return ended
+        return completed
 
     def sweep(self, revolution: Revolution) -> Sweep:
-        """Return the sweep of a revolution, at the time when it began to come."""
+        """Return the sweep of a revolution, with the arrival of its first packet as time."""
         return sweep_of_ouster(revolution.packets, self.decoder).replace(t_ns=revolution.t_ns)

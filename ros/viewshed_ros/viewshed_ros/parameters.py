@@ -1,4 +1,4 @@
-"""The parameters of the node, in one table, and their values checked."""
+"""Table of the node's parameters, and checks of their values."""
 
 from __future__ import annotations
 
@@ -28,58 +28,58 @@ from viewshed_ros.packets import Revolutions
 from viewshed_ros.poses import POSE_TOPICS
 from viewshed_ros.stops import STALE_PERIODS, STALE_S
 
-OF_PROFILE = "profile"
-"""The value of a parameter that leaves it to the profile."""
+FROM_PROFILE = "profile"
+"""Value of a parameter that takes its value from the profile."""
 
 Value = bool | str | float | int | list[str] | list[float]
 
 _KINDS: dict[type, tuple[type, ...]] = {float: (float, int), list: (list, array)}
-"""Types of values, by that of the default where there is more than that one."""
+"""Accepted types of values by type of the default, if there are several."""
 
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """A parameter."""
+    """A parameter of a node."""
 
-    default: Value  # its value where none is given
-    description: str  # what it means
-    choices: tuple[str, ...] = ()  # its values where they are few
-    least_and_most: tuple[float, float] | None = None  # bounds of a number
-    check: Callable[[Any], object] | None = None  # raises where a value makes no sense
-    at_run: bool = False  # whether a change holds at once; else it needs another configuration
-    fixed: bool = False  # whether it is read once, when the process starts
+    default: Value
+    description: str
+    choices: tuple[str, ...] = ()  # valid values; empty for no restriction
+    bounds: tuple[float, float] | None = None  # minimum and maximum of a number
+    check: Callable[[Any], object] | None = None  # raises for an invalid value
+    at_run: bool = False  # whether a change applies at once; else only when the node is configured
+    fixed: bool = False  # whether it is read only once, when the process starts
 
     def descriptor(self, *, is_strict: bool = True) -> ParameterDescriptor:
-        """Return what ``ros2 param describe`` says; one that is not strict lets any value pass."""
+        """Return the descriptor for ``ros2 param describe``; without ``is_strict`` it accepts any value."""
         words = [", ".join(self.choices)] if self.choices else []
         words += [] if self.at_run or self.fixed else ["read when the node is configured"]
-        made = ParameterDescriptor(
+        descriptor = ParameterDescriptor(
             description=self.description, additional_constraints="; ".join(words), read_only=self.fixed,
             dynamic_typing=not is_strict,
         )  # fmt: skip
-        if is_strict and self.least_and_most is not None:
-            least, most = self.least_and_most
+        if is_strict and self.bounds is not None:
+            low, high = self.bounds
             if isinstance(self.default, float):
-                made.floating_point_range = [FloatingPointRange(from_value=least, to_value=most)]
+                descriptor.floating_point_range = [FloatingPointRange(from_value=low, to_value=high)]
             else:
-                made.integer_range = [IntegerRange(from_value=int(least), to_value=int(most), step=1)]
-        return made
+                descriptor.integer_range = [IntegerRange(from_value=int(low), to_value=int(high), step=1)]
+        return descriptor
 
     def refuse(self, name: str, value: Any) -> None:
-        """Refuse a value of another type, that is no choice, or out of bounds; a whole number is a number as well."""
+        """Raise a ValueError for a value of another type, not among the choices, or out of bounds."""
         if type(value) not in _KINDS.get(type(self.default), (type(self.default),)):
             raise ValueError(f"{name} must be a value like {self.default!r}, got {value!r}")
         if self.choices and value not in self.choices:
             raise ValueError(f"{name} must be one of {', '.join(self.choices)}, got {value!r}")
-        if self.least_and_most is not None:
-            least, most = self.least_and_most
-            if not least <= value <= most:
-                raise ValueError(f"{name} must lie in [{least:g}, {most:g}], got {value}")
+        if self.bounds is not None:
+            low, high = self.bounds
+            if not low <= value <= high:
+                raise ValueError(f"{name} must lie in [{low:g}, {high:g}], got {value}")
 
 
 def _threat(value: str, profile: Profile) -> Threat | None:
-    """Return the threat of a word; that of the profile, or none."""
-    return profile.certify if value == OF_PROFILE else None if value == "never" else Threat.parse(value)
+    """Return the threat named by a parameter value, that of the profile, or None."""
+    return profile.certify if value == FROM_PROFILE else None if value == "never" else Threat.parse(value)
 
 
 def _check_sensors(names: Sequence[str]) -> None:
@@ -101,43 +101,43 @@ def _mounting(value: Sequence[float]) -> Rigid:
 _SPEEDS_MPS = (1e-3, 1e3)
 
 
-# No value is on, off, yes or no: on a command line these are true and false, not text.
+# No value is on, off, yes or no, because the command line parses these as booleans.
 PARAMETERS: dict[str, Parameter] = {
     "profile": Parameter("robot", "What the pipeline is for.", tuple(PROFILES)),
     "method": Parameter(
-        OF_PROFILE,
+        FROM_PROFILE,
         "Name of the estimator, or profile.",
-        check=lambda value: value == OF_PROFILE or load_estimator(value),
+        check=lambda value: value == FROM_PROFILE or load_estimator(value),
     ),
     "weights": Parameter(
         "",
         "Of unet and mc_dropout: file or name of a network; empty for the shipped one of grid and target.",
         check=lambda value: value and load_runner(value),
     ),
-    "passes": Parameter(0, "Of mc_dropout: passes, 2 or more; 0 for the usual 10.", least_and_most=(0, 1000)),
+    "passes": Parameter(0, "Of mc_dropout: passes, 2 or more; 0 for the usual 10.", bounds=(0, 1000)),
     "grid": Parameter(
-        OF_PROFILE, "Name of the grid, or profile; with weights, profile is their own.", (OF_PROFILE, *GRIDS)
+        FROM_PROFILE, "Name of the grid, or profile; with weights, profile is their own.", (FROM_PROFILE, *GRIDS)
     ),
     "target": Parameter("car", "What would have to be seen.", tuple(TARGETS)),
     "history": Parameter(
         -1,
         "Earlier sweeps of a sensor that help, where poses are known; -1 leaves it to the profile.",
-        least_and_most=(-1, 1000),
+        bounds=(-1, 1000),
     ),
     "rate_hz": Parameter(
         -1.0,
         "Sweeps of a sensor estimated in a second; 0 for all, -1 leaves it to the profile.",
-        least_and_most=(-1.0, 1e3),
+        bounds=(-1.0, 1e3),
         at_run=True,
     ),
-    "monitor": Parameter(OF_PROFILE, "Whether streams are watched.", (OF_PROFILE, "always", "never")),
+    "monitor": Parameter(FROM_PROFILE, "Whether streams are watched.", (FROM_PROFILE, "always", "never")),
     "monitor_file": Parameter(
         "",
         "File of viewshed monitor calibrate; empty for the shipped one.",
         check=lambda value: value and load_calibration(value),
     ),
     "certify": Parameter(
-        OF_PROFILE,
+        FROM_PROFILE,
         "What stays claimed on an alarm: what no such attack can have opened (added, window:5, …), profile, or never.",
         check=lambda value: _threat(value, PROFILES["robot"]),
     ),
@@ -148,47 +148,45 @@ PARAMETERS: dict[str, Parameter] = {
     "pose_source": Parameter("none", "Where poses are from.", ("none", "tf", *POSE_TOPICS)),
     "pose_topic": Parameter("odometry", "Topic of poses, unless they are from tf."),
     "pose_wait_s": Parameter(
-        0.02, "How long a pose that is still to come is waited for.", least_and_most=(0.0, 100.0), at_run=True
+        0.02, "How long a pose that is still to come is waited for.", bounds=(0.0, 100.0), at_run=True
     ),
     "world_frame": Parameter("map", "Frame of poses and masks."),
     "output": Parameter("sensor", "Frame of grids, polygons and markers.", ("sensor", "world")),
-    "speed_most_mps": Parameter(10.0, "100 percent of the speed mask.", least_and_most=_SPEEDS_MPS),
+    "speed_most_mps": Parameter(10.0, "100 percent of the speed mask.", bounds=_SPEEDS_MPS),
     "speed_unseen_mps": Parameter(
         1.0,
         "Speed of the mask where nothing is seen, and speed limit of a stale alarm.",
-        least_and_most=_SPEEDS_MPS,
+        bounds=_SPEEDS_MPS,
         at_run=True,
     ),
     "stale_s": Parameter(
         STALE_S,
         "Age of a view from which nothing is claimed, if stale_periods have passed as well.",
-        least_and_most=(0.05, 60.0),
+        bounds=(0.05, 60.0),
         at_run=True,
     ),
     "stale_periods": Parameter(
         STALE_PERIODS,
         "Periods of its sensor from which nothing is claimed, if stale_s have passed as well.",
-        least_and_most=(1.0, 100.0),
+        bounds=(1.0, 100.0),
         at_run=True,
     ),
-    "vehicle_front_m": Parameter(
-        VEHICLE.front_m, "From the sensor to the front of the vehicle.", least_and_most=(-1e3, 1e3)
-    ),
+    "vehicle_front_m": Parameter(VEHICLE.front_m, "From the sensor to the front of the vehicle.", bounds=(-1e3, 1e3)),
     "vehicle_half_width_m": Parameter(
-        VEHICLE.half_width_m, "Half of the width of the lane that must be free.", least_and_most=(1e-3, 1e3)
+        VEHICLE.half_width_m, "Half of the width of the lane that must be free.", bounds=(1e-3, 1e3)
     ),
-    "vehicle_delay_s": Parameter(VEHICLE.delay_s, "Time until the brakes act.", least_and_most=(0.0, 1e3)),
-    "vehicle_braking_mps2": Parameter(VEHICLE.braking_mps2, "How hard the vehicle brakes.", least_and_most=(1e-3, 1e3)),
+    "vehicle_delay_s": Parameter(VEHICLE.delay_s, "Time until the brakes act.", bounds=(0.0, 1e3)),
+    "vehicle_braking_mps2": Parameter(VEHICLE.braking_mps2, "How hard the vehicle brakes.", bounds=(1e-3, 1e3)),
     "objects": Parameter(False, "Detect, track and explain objects as well; needs scipy."),
     "agent": Parameter("", "Name under which the first sensor's answers are shared with other agents; empty for not."),
     "agent_key": Parameter("", "File of the agent's private key, 64 hexadecimal digits."),
     "agent_topic": Parameter("/viewshed/views", "Topic of the signed messages of all agents."),
     "autostart": Parameter(False, "Configure and activate at once, where no manager of lifecycles does.", fixed=True),
     "diagnostics_hz": Parameter(
-        1.0, "How often /diagnostics is published; 0 for never.", least_and_most=(0.0, 100.0), at_run=True
+        1.0, "How often /diagnostics is published; 0 for never.", bounds=(0.0, 100.0), at_run=True
     ),
 }
-"""Of the node."""
+"""Parameters of the node."""
 
 SENSOR_PARAMETERS: dict[str, Parameter] = {
     "topic": Parameter("", "Topic of its messages; empty for NAME/points."),
@@ -198,7 +196,7 @@ SENSOR_PARAMETERS: dict[str, Parameter] = {
         "", "The only frame whose clouds are taken, and that of packets; empty for that of most clouds, and NAME."
     ),
     "model": Parameter("auto", "Name of a beam table, auto to infer it from the points, or none.", check=_model),
-    "height_m": Parameter(0.0, "Height above the ground; 0 to estimate it.", least_and_most=(0.0, 99.0)),
+    "height_m": Parameter(0.0, "Height above the ground; 0 to estimate it.", bounds=(0.0, 99.0)),
     "attitude": Parameter(
         [0.0, 0.0, 0.0, 0.0],
         "Quaternion w, x, y, z of level_from_sensor; zeros to estimate it.",
@@ -210,28 +208,28 @@ SENSOR_PARAMETERS: dict[str, Parameter] = {
         check=_mounting,
     ),
 }
-"""Of each sensor, below its name."""
+"""Parameters of each sensor, below its name."""
 
 
 @dataclass(frozen=True, slots=True)
 class SensorSettings:
-    """What is known of a sensor."""
+    """Parameters of one sensor, checked."""
 
     name: str
     topic: str
     input: Input
     changes: dict[str, Any]
-    """Attributes of its sweeps that are given."""
+    """Known attributes of its sweeps."""
     base_from_sensor: Rigid
     frame: str
-    """That its messages must be in; empty where no parameter names it."""
+    """Required frame of its messages; empty if not given."""
     revolutions: Revolutions | None
-    """Gathers packets, of a sensor whose messages hold one each."""
+    """Collects packets into revolutions, if each message holds one packet."""
 
 
 @dataclass(frozen=True, slots=True)
 class NodeSettings:
-    """The values of all parameters, checked."""
+    """Values of all parameters, checked."""
 
     profile: Profile
     method: str
@@ -269,7 +267,7 @@ def declare(node: Node) -> None:
 
 
 def read(node: Node) -> NodeSettings:
-    """Return the values of all parameters; those of the sensors are declared when they are named first."""
+    """Return the values of all parameters; declare the parameters of sensors that are named for the first time."""
     given: dict[str, Any] = values_of(node, PARAMETERS)
     profile = profile_named(given["profile"])
     names = given["sensors"]
@@ -281,10 +279,10 @@ def read(node: Node) -> NodeSettings:
         )
     if given["output"] == "world" and given["pose_source"] == "none":
         raise ValueError("output world needs poses, got pose_source none; name tf, odometry, pose or transform")
-    made = {
+    derived = {
         "profile": profile,
-        "method": profile.method if given["method"] == OF_PROFILE else given["method"],
-        "grid": given["grid"] if given["grid"] != OF_PROFILE else None if given["weights"] else profile.grid,
+        "method": profile.method if given["method"] == FROM_PROFILE else given["method"],
+        "grid": given["grid"] if given["grid"] != FROM_PROFILE else None if given["weights"] else profile.grid,
         "history": profile.history if given["history"] < 0 else given["history"],
         "rate_hz": _rate_hz(profile, given["rate_hz"]),
         "certify": _threat(given["certify"], profile),
@@ -294,9 +292,9 @@ def read(node: Node) -> NodeSettings:
             *(given[f"vehicle_{name}"] for name in ("front_m", "half_width_m", "delay_s", "braking_mps2"))
         ),
     }
-    # All others are taken as they are.
-    same = {field.name: given[field.name] for field in fields(NodeSettings) if field.name not in made}
-    return NodeSettings(**made, **same)
+    # All others are used as given.
+    same = {field.name: given[field.name] for field in fields(NodeSettings) if field.name not in derived}
+    return NodeSettings(**derived, **same)
 
 
 def _sensor(node: Node, name: str) -> SensorSettings:
@@ -322,19 +320,19 @@ def _sensor(node: Node, name: str) -> SensorSettings:
 
 
 def declare_table(node: Node, table: dict[str, Parameter], *, fixed: bool = False) -> None:
-    """Declare the parameters of a table that are not declared yet, all of them as fixed where that is wished."""
+    """Declare the parameters of a table that are not declared yet, with ``fixed`` all of them as read-only."""
     for name, parameter in table.items():
         declared = replace(parameter, fixed=fixed or parameter.fixed)
         if not node.has_parameter(name):
             try:
                 node.declare_parameter(name, declared.default, declared.descriptor())
             except (InvalidParameterTypeException, InvalidParameterValueException):
-                # Reported when it is read, so that it can be mended.
+                # Accept the invalid value for now; reading it reports the error, and it can be corrected.
                 node.declare_parameter(name, declared.default, declared.descriptor(is_strict=False))
 
 
 def values_of(node: Node, table: dict[str, Parameter]) -> dict[str, Any]:
-    """Return the values of the parameters of a table."""
+    """Return the checked values of the parameters of a table."""
     values = {name: node.get_parameter(name).value for name in table}
     for name, parameter in table.items():
         parameter.refuse(name, values[name])
@@ -343,7 +341,7 @@ def values_of(node: Node, table: dict[str, Parameter]) -> dict[str, Any]:
 
 
 def check_change(name: str, value: Any, *, is_configured: bool) -> None:
-    """Refuse a value of a parameter of the node or of a sensor that makes no sense, or comes too late."""
+    """Raise a ValueError for a parameter value of node or sensor that is invalid, or changed too late."""
     parameter = PARAMETERS.get(name) or SENSOR_PARAMETERS.get(name.partition(".")[2])
     if parameter is None:
         return
@@ -361,7 +359,7 @@ def check_change(name: str, value: Any, *, is_configured: bool) -> None:
 
 
 def changed(settings: NodeSettings, values: Mapping[str, Any]) -> NodeSettings:
-    """Return settings with other values of parameters that may change at run time; of others nothing is taken."""
+    """Return settings with new values of parameters that may change at run time; other values are ignored."""
     changes = {name: value for name, value in values.items() if name in PARAMETERS and PARAMETERS[name].at_run}
     if "rate_hz" in changes:
         changes["rate_hz"] = _rate_hz(settings.profile, changes["rate_hz"])

@@ -1,4 +1,4 @@
-"""Where a sensor stood at a cloud's time: from tf where it is installed, else from a topic of poses."""
+"""Pose of a sensor at the time of a cloud: from tf if it is installed, or from a topic of poses."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ from viewshed.geometry import Rigid
 from viewshed.recordings.read.tf_tree import between
 from viewshed_ros.conversions import nanoseconds_of, rigid_of
 
-MOST_POSES = 2000
-"""Poses that are kept: 20 s at 100 Hz."""
+MAX_POSES = 2000
+"""Number of poses kept: 20 s at 100 Hz."""
 
-LONGEST_GAP_S = 1.0
-"""Between two poses that are interpolated."""
+MAX_GAP_S = 1.0
+"""Maximum time between two poses for interpolation."""
 
 
 class PoseSource(Protocol):
-    """Knows where a sensor stood; a pose that is still to come is waited for so long."""
+    """Gives the pose of a sensor; waits up to ``wait_s`` for a pose that has not arrived yet."""
 
     wait_s: float
 
@@ -36,21 +36,21 @@ class PoseSource(Protocol):
 
         Args:
             frame: of the sensor.
-            t_ns: in nanoseconds.
-            base_from_sensor: its mounting, for those who know nothing of frames.
+            t_ns: time in nanoseconds.
+            base_from_sensor: its mounting, for sources without a tree of frames.
 
         Raises:
-            LookupError: it is not known; the text says why.
+            LookupError: it is not known; the message says why.
         """
         ...
 
 
 @dataclass(frozen=True, slots=True)
 class PoseTopic:
-    """A type of message that holds a pose."""
+    """A message type that holds a pose."""
 
     message_type: type[Any]  # of the topic
-    rigid: Callable[[Any], Rigid]  # makes ``world_from_base``
+    rigid: Callable[[Any], Rigid]  # converts a message to ``world_from_base``
 
 
 POSE_TOPICS = {
@@ -62,28 +62,28 @@ POSE_TOPICS = {
         TransformStamped, lambda message: rigid_of(message.transform.translation, message.transform.rotation)
     ),
 }
-"""By the value of the parameter ``pose_source``."""
+"""Message types by the value of the parameter ``pose_source``."""
 
 
 class PoseBuffer:
-    """The last poses of a vehicle, interpolated between two of them; those of its sensors follow from their mounting.
+    """Buffers and interpolates the last poses of a vehicle; sensor poses follow from the mounting.
 
     Args:
-        topic: how poses are read.
-        world_frame: the frame that they must be in.
-        wait_s: how long a pose that is still to come is waited for.
+        topic: message type of the poses.
+        world_frame: required frame of the poses.
+        wait_s: maximum wait for a pose that has not arrived yet.
     """
 
     def __init__(self, topic: PoseTopic, world_frame: str, wait_s: float = 0.0) -> None:
         self._topic, self._world_frame, self.wait_s = topic, world_frame, wait_s
-        self._poses: deque[tuple[int, Rigid]] = deque(maxlen=MOST_POSES)
+        self._poses: deque[tuple[int, Rigid]] = deque(maxlen=MAX_POSES)
         self._changed = Condition()
 
     def __len__(self) -> int:
         return len(self._poses)
 
     def add(self, message: Any) -> None:
-        """Take a message; one of the last one's time replaces that, one from before it begins anew."""
+        """Add a pose; one with the time of the last pose replaces it, an older one clears the buffer first."""
         if message.header.frame_id.lstrip("/") != self._world_frame:
             raise ValueError(f"a pose must be in frame {self._world_frame!r}, got {message.header.frame_id!r}")
         t_ns, pose = nanoseconds_of(message.header.stamp), self._topic.rigid(message)
@@ -114,35 +114,35 @@ class PoseBuffer:
             raise LookupError(f"the cloud is {(after_ns - t_ns) / 1e9:.3g} s older than the first pose kept")
         before_ns, before = self._poses[late - 1]
         gap_ns = after_ns - before_ns
-        if gap_ns > LONGEST_GAP_S * 1e9:
-            raise LookupError(f"poses are {gap_ns / 1e9:.3g} s apart around the cloud, more than {LONGEST_GAP_S:g} s")
+        if gap_ns > MAX_GAP_S * 1e9:
+            raise LookupError(f"poses are {gap_ns / 1e9:.3g} s apart around the cloud, more than {MAX_GAP_S:g} s")
         return between(before, after, (t_ns - before_ns) / gap_ns)
 
 
 class TfPoses:
-    """Poses from a buffer of tf2.
+    """Poses from a tf2 buffer.
 
     Args:
-        buffer: a ``tf2_ros.Buffer``, or what looks transforms up as it does.
-        world_frame: the map's frame.
-        wait_s: how long a transform that is still to come is waited for.
+        buffer: a ``tf2_ros.Buffer``, or an object with its ``lookup_transform``.
+        world_frame: name of the map frame.
+        wait_s: maximum wait for a transform that has not arrived yet.
     """
 
     def __init__(self, buffer: Any, world_frame: str, wait_s: float = 0.0) -> None:
         self._buffer, self._world_frame, self.wait_s = buffer, world_frame, wait_s
 
     def world_from_sensor(self, frame: str, t_ns: int, base_from_sensor: Rigid) -> Rigid:
-        """Return the pose of a sensor's frame; its mounting is known to tf."""
+        """Return the pose of a sensor's frame; tf knows its mounting."""
         try:
             wait = Duration(seconds=self.wait_s)
-            found = self._buffer.lookup_transform(self._world_frame, frame, Time(nanoseconds=t_ns), timeout=wait)
-            return rigid_of(found.transform.translation, found.transform.rotation)
-        except Exception as error:  # tf2's own errors have no base that could be named without tf2
+            message = self._buffer.lookup_transform(self._world_frame, frame, Time(nanoseconds=t_ns), timeout=wait)
+            return rigid_of(message.transform.translation, message.transform.rotation)
+        except Exception as error:  # the base class of tf2's errors cannot be named without importing tf2
             raise LookupError(" ".join(str(error).split()) or type(error).__name__) from error
 
 
 def tf_buffer(node: Any) -> Any:
-    """Return a buffer of tf2 that listens."""
+    """Return a tf2 buffer with a listener."""
     try:
         from tf2_ros import Buffer, TransformListener
     except ImportError as error:
@@ -150,5 +150,5 @@ def tf_buffer(node: Any) -> Any:
             "pose_source tf needs tf2_ros, which is not installed; take odometry, pose or transform"
         ) from error
     buffer = Buffer()
-    buffer.viewshed_listener = TransformListener(buffer, node)  # lives as long as the buffer
+    buffer.viewshed_listener = TransformListener(buffer, node)  # keeps the listener alive as long as the buffer
     return buffer

@@ -1,4 +1,4 @@
-"""What an agent tells others: each answer as a signed message of ``viewshed.agents``, as bytes."""
+"""Messages of an agent to others: each answer as a signed message of ``viewshed.agents``, as bytes."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from viewshed.agents.view_message import SensorFacts, ViewMessage
 from viewshed.pipeline import Answer
 
 POSE_STD_M, POSE_STD = 0.1, 0.01
-"""Standard deviations of poses whose source tells none: meters, and radians."""
+"""Assumed standard deviations of poses whose source states none: meters, and radians."""
 
 AHEAD_MS = 500
-"""Receivers take messages of clocks that are ahead by no more."""
+"""Receivers accept messages of clocks that are ahead by at most this."""
 
 POSE_COVARIANCE = np.diag([POSE_STD_M**2] * 3 + [POSE_STD**2] * 3)
 
 
 @dataclass(slots=True)
-class Speaker:
-    """Signs what an agent saw."""
+class ViewSigner:
+    """Signs the answers of an agent."""
 
     key: SigningKey  # private key of the agent
-    frame: str  # name of the map that poses are in
+    frame: str  # frame of the poses
     _epoch: int = -1
     _sequence: int = 0
 
@@ -36,8 +36,8 @@ class Speaker:
         if estimate is None or estimate.world_from_level is None or estimate.t_ns is None:
             raise ValueError("what is shared with others must have a pose and a time, got none for this sweep")
         basis = estimate.basis
-        # The first time in milliseconds is greater than before a restart. Where the clock was so far ahead that nobody
-        # took a message, and is put right, an epoch begins anew: it must not be later than its messages.
+        # The epoch, the first time in milliseconds, increases with each restart and must not be later than messages. If
+        # the clock was so far ahead that receivers refused messages, and is then corrected, a new epoch begins.
         t_ms = estimate.t_ns // 1_000_000
         if self._epoch < 0 or t_ms < self._epoch - AHEAD_MS:
             self._epoch, self._sequence = t_ms, 0

@@ -1,4 +1,4 @@
-"""Running nodes until a signal ends them."""
+"""Run nodes until a signal ends them."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 
 STEADY = Clock(clock_type=ClockType.STEADY_TIME)
-"""Of timers that also run where the clock is set back, and where simulated time stands still."""
+"""Clock of timers that must run even if the system clock is set back or simulated time stands still."""
 
 
 @contextmanager
 def until_a_signal(arguments: list[str] | None = None) -> Iterator[None]:
-    """Initialize rclpy, and end what is done with it at SIGINT or SIGTERM, also where that comes while a node starts.
+    """Initialize rclpy, and leave the context cleanly at SIGINT or SIGTERM, also during the start of a node.
 
-    SIGINT, like SIGTERM, shuts the context down and raises nothing: Python would raise `KeyboardInterrupt` wherever the
-    main thread is, in a half-made object, or in the handling of what fails because the context is down.
+    SIGINT, like SIGTERM, shuts the context down and raises nothing. Python would raise `KeyboardInterrupt` anywhere in
+    the main thread: in a half-constructed object, or while it handles an error that the shutdown caused.
     """
     ending = {signal.SIGINT, signal.SIGTERM}
-    # A signal that comes before rclpy has its handlers waits for them.
+    # Block signals until rclpy has installed its handlers.
     signal.pthread_sigmask(signal.SIG_BLOCK, ending)
-    signal.signal(signal.SIGINT, lambda number, frame: None)  # rclpy calls the handler that it finds, then shuts down
+    signal.signal(signal.SIGINT, lambda number, frame: None)  # rclpy calls the existing handler, then shuts down
     rclpy.init(args=arguments or sys.argv)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, ending)
     try:
@@ -35,7 +35,7 @@ def until_a_signal(arguments: list[str] | None = None) -> Iterator[None]:
     except ExternalShutdownException:
         pass
     except Exception:
-        # A signal shuts the context down at once; whatever is made after that fails, each thing in its own words.
+        # After a signal the context is down, and anything created later may fail with any error.
         if rclpy.ok():
             raise
     finally:
@@ -43,7 +43,7 @@ def until_a_signal(arguments: list[str] | None = None) -> Iterator[None]:
 
 
 def spin(make: Callable[[], Node], arguments: list[str] | None = None) -> None:
-    """Make a node and run it until a signal ends it; why it cannot be made is said in one line."""
+    """Make a node and run it until a signal ends it; if it cannot be made, exit with a one-line message."""
     with until_a_signal(arguments):
         try:
             node = make()

@@ -1,4 +1,4 @@
-"""Diagnostics of the node and alarms of a sensor, in words that an operator can read."""
+"""Diagnostics of the node and alarms of its sensors, as text for an operator."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from viewshed.pipeline import Answer, Caution, Statistics
 from viewshed_ros.stops import Stale, stale_alarm
 
-MOST_REASONS = 20
-"""Different reasons of a sensor that are counted apart; all further ones together."""
+MAX_REASONS = 20
+"""Maximum number of distinct reasons counted separately for a sensor; further ones are counted together."""
 
 OTHER_REASONS = "for other reasons"
 
 
 @dataclass(slots=True)
 class SensorCounts:
-    """What became of the messages of one sensor; several threads may count."""
+    """Counts of one sensor's messages by outcome; thread-safe."""
 
     received: int = 0
     skipped: int = 0
@@ -32,13 +32,13 @@ class SensorCounts:
     _lock: Lock = field(default_factory=Lock, repr=False)
 
     def count(self, reason: str) -> None:
-        """Count something that went wrong, by its reason."""
+        """Count a problem by its reason."""
         with self._lock:
-            known = reason in self.reasons or len(self.reasons) < MOST_REASONS
+            known = reason in self.reasons or len(self.reasons) < MAX_REASONS
             self.reasons[reason if known else OTHER_REASONS] += 1
 
     def status(self, name: str, passed_s: float, facts: Mapping[str, object]) -> DiagnosticStatus:
-        """Return the status of the time since the last call, in seconds, with facts beside."""
+        """Return the status over the ``passed_s`` since the last call, with additional facts."""
         with self._lock:
             reasons = dict(self.reasons)
         rate_hz = (self.answered - self._answered_before) / max(passed_s, 1e-3)
@@ -56,12 +56,12 @@ class SensorCounts:
 
 
 def key_values(values: Mapping[str, object]) -> list[KeyValue]:
-    """Return a mapping as the pairs of a status."""
+    """Return a mapping as key-value pairs of a status."""
     return [KeyValue(key=key, value=str(value)) for key, value in values.items()]
 
 
 def pipeline_status(name: str, statistics: Statistics, facts: Mapping[str, str]) -> DiagnosticStatus:
-    """Return the status of the pipeline: latencies, drops, refusals by reason, processor."""
+    """Return the status of the pipeline: latencies, drops, refusals by reason, processor load."""
     values: dict[str, object] = {
         **facts, "latency": statistics.latencies, "answered": statistics.answered, "dropped": statistics.dropped,
         "cores busy": f"{statistics.busy_cores:.2f}",
@@ -73,7 +73,7 @@ def pipeline_status(name: str, statistics: Statistics, facts: Mapping[str, str])
 
 
 def alarm(name: str, answer: Answer, stale: Stale | None = None) -> DiagnosticStatus:
-    """Return what one answer says: how far its view is trusted, at what speed, and why."""
+    """Return the alarm of one answer: caution, speed, and reasons."""
     caution = answer.reaction.caution
     values: dict[str, object] = {
         "caution": caution.name, "speed in m/s": f"{answer.speed_mps:.2f}",

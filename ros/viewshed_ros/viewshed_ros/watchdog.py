@@ -1,7 +1,7 @@
-"""The watchdog: where the node's heartbeat stops, it publishes what lets nav2 stop, on the topics of the node's masks.
+"""Watchdog node: if the node's heartbeat stops, it publishes stop messages for nav2 on the topics of the node's masks.
 
-A process of its own, as the messages of one that has died are gone. While the node lives it has no publisher on these
-topics, so that who comes late is given no second opinion.
+A separate process, because the latched messages of a process that died are gone. While the node is alive the watchdog
+has no publisher on these topics, so that late subscribers receive no contradicting message.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from viewshed_ros.stops import CHECK_S, LATCHED, MASK_STOPS, STALE_S, Stale, eve
 
 
 class Watchdog(Node):
-    """Stops in place of a node that is silent; takes ``sensors``, ``world_frame`` and limits from its parameters."""
+    """Publishes stop messages for a silent node; parameters are ``sensors``, ``world_frame`` and limits."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__("field_of_view_watchdog", **options)
@@ -33,36 +33,36 @@ class Watchdog(Node):
         self._heard_s = dict.fromkeys(names, -math.inf)
         self._areas: dict[str, MapMetaData] = {name: everywhere() for name in names}
         self._stops: dict[str, dict[str, Any]] = {}
-        self._said_s: dict[str, float] = {}
+        self._stopped_s: dict[str, float] = {}
         self._began_s = time.monotonic()
         for name in names:
             self.create_subscription(OccupancyGrid, f"{name}/heartbeat", partial(self._hear, name), 5)
         self.create_timer(CHECK_S, self._check, clock=STEADY)
         self.get_logger().info(f"{', '.join(names)} stop {self._limit_s:g} s after the last heartbeat")
 
-    def _positive(self, name: str, otherwise: float, most: float) -> float:
-        """Return a number that a parameter gives; one that makes no sense must not end who stops the vehicle."""
-        value = self.declare_parameter(name, otherwise, ParameterDescriptor(dynamic_typing=True, read_only=True)).value
-        if type(value) in (int, float) and 0.0 < value <= most:
+    def _positive(self, name: str, default: float, maximum: float) -> float:
+        """Return the value of a parameter, or its default if that is invalid: bad input must not end the watchdog."""
+        value = self.declare_parameter(name, default, ParameterDescriptor(dynamic_typing=True, read_only=True)).value
+        if type(value) in (int, float) and 0.0 < value <= maximum:
             return float(value)
-        self.get_logger().error(f"{name} must be a number in (0, {most:g}], got {value}; {otherwise:g} is taken")
-        return otherwise
+        self.get_logger().error(f"{name} must be a number in (0, {maximum:g}], got {value}; {default:g} is taken")
+        return default
 
     def _hear(self, name: str, heartbeat: OccupancyGrid) -> None:
-        """Take where the masks lie, and withdraw what was published: destroyed, it is given to nobody any more."""
+        """Note the heartbeat and the area of the masks, and destroy own publishers to withdraw their messages."""
         self._heard_s[name], self._areas[name] = time.monotonic(), heartbeat.info
         self._frame = heartbeat.header.frame_id
         for publisher in self._stops.pop(name, {}).values():
             self.destroy_publisher(publisher)
 
     def _check(self) -> None:
-        """Stop the sensors of a silent node, again and again: a message of the node may be older, and arrive later."""
+        """Stop the sensors of a silent node, repeatedly, because an older message of the node may arrive later."""
         now_s = time.monotonic()
         for name, heard_s in self._heard_s.items():
-            is_due = now_s - self._said_s.get(name, -math.inf) > self._limit_s
+            is_due = now_s - self._stopped_s.get(name, -math.inf) > self._limit_s
             if now_s - max(heard_s, self._began_s) > self._limit_s and (is_due or name not in self._stops):
                 self._stop(name, Stale("heartbeat of the node", now_s - heard_s, self._limit_s, self._unseen_mps))
-                self._said_s[name] = now_s
+                self._stopped_s[name] = now_s
 
     def _stop(self, name: str, stale: Stale) -> None:
         if name not in self._stops:

@@ -13,7 +13,7 @@ from tests.networks.made import card, nearby
 from viewshed import Sweep, open_recording, write_sweep
 from viewshed.cli import main
 from viewshed.cli._verdicts import stream_monitor
-from viewshed.cli.monitor import _Drives, _odd_sweeps
+from viewshed.cli.monitor import _Drives, _suspicious_sweeps
 from viewshed.monitor import Calibration, load_calibration, load_monitor
 from viewshed.monitor.evidence import EVIDENCE, SECTORS
 from viewshed_lab.training.onnx_export import export_onnx
@@ -137,7 +137,7 @@ def test_attacked_drives_and_those_of_another_sensor_are_named() -> None:
         attacked = drawn[5:].copy()
         attacked[:, 20::every] *= 1000.0
         drives = _Drives(list(attacked), names, 2.5, [])
-        (line,) = _odd_sweeps(drives, Calibration.fit(drives.streams, 2.5, base=base), base, 30.0)
+        (line,) = _suspicious_sweeps(drives, Calibration.fit(drives.streams, 2.5, base=base), base, 30.0)
         assert re.search(word, line), line
 
 

@@ -20,7 +20,7 @@ from tests.cli.commands import run
 from viewshed import open_recording, read_sweep, write_sweep
 from viewshed.cli._outputs import Failures, Named
 from viewshed.cli._profile import at_rate
-from viewshed.cli._record import Awaited, Listener, repeated
+from viewshed.cli._record import Listener, PendingSweep, repeated
 from viewshed.io.samples import junction_path
 from viewshed.pipeline import Answer, ReactionState
 from viewshed.recordings.write.bag_writers import Schema, open_bag_writer
@@ -210,7 +210,7 @@ def test_a_sweep_that_another_agent_overtook_still_has_its_line(capsys: pytest.C
     failures = Failures()
     listener = Listener([], failures, is_live=True)
     for number, agent in enumerate("aba"):
-        listener.expect(number, Awaited(agent, 0.1 * number, sweep, None))
+        listener.expect(number, PendingSweep(agent, 0.1 * number, sweep, None))
     for number, agent in ((2, "a"), (1, "b")):
         listener(Answer(agent, number, None, None, None, ReactionState(), 0.0, (), "nothing was usable", 0.01))
     assert failures.count == 2

@@ -12,10 +12,10 @@ from tests.monitor.evidence.drives import GRID, PLATE, YARD, look, sector_at
 from viewshed import Sweep
 from viewshed.monitor import Calibration, StreamMonitor, save_calibration, shipped_calibration
 from viewshed.monitor.evidence import EARLIER_SWEEPS, EVIDENCE, SECTORS
-from viewshed.monitor.impossible import MOST_OUT, impossible_reasons, share_out_of_time
-from viewshed.monitor.stream_monitor import ALONE, LOOKED_SWEEPS, StreamReport
+from viewshed.monitor.impossible import MAX_OUT_OF_TIME_SHARE, impossible_reasons, share_out_of_time
+from viewshed.monitor.stream_monitor import SILENT_SWEEPS, SINGLE_SWEEP_NOTE, StreamReport
 from viewshed.monitor.tails import CALM_SWEEPS
-from viewshed.monitor.watch import MOST_HELD_SWEEPS, Verdict, Watch
+from viewshed.monitor.watch import MAX_HELD_SWEEPS, Verdict, Watch
 from viewshed.preprocess.leveling import LeveledSweep, level
 
 SWEEPS = 40
@@ -80,11 +80,11 @@ def test_what_lasts_becomes_the_past_and_the_alarm_ends_once() -> None:
     watch = Watch(made, made.limit(10.0, extrapolate=True))
     assert not any(watch.check(one).alarm for one in evidence(100))
     # From now on the sensor is higher, noisier and has more returns.
-    changed = evidence(2 * MOST_HELD_SWEEPS)
+    changed = evidence(2 * MAX_HELD_SWEEPS)
     changed[:, [list(EVIDENCE).index(name) for name in ("sensor_height", "range_noise", "returns")]] += 300.0
     alarms = [watch.check(one).alarm for one in changed]
     ended = alarms.index(False)
-    assert MOST_HELD_SWEEPS <= ended <= MOST_HELD_SWEEPS + CALM_SWEEPS
+    assert MAX_HELD_SWEEPS <= ended <= MAX_HELD_SWEEPS + CALM_SWEEPS
     assert not any(alarms[ended:])
 
 
@@ -111,13 +111,13 @@ def test_returns_where_the_sensor_did_not_point_at_their_time_are_impossible(sha
     assert any("did not point at their time" in one for one in impossible_reasons(level(sweep, GRID))) == called
     # Two heads that point apart share one clock: times tell nothing.
     behind = sweep.replace(points=points * np.where(np.arange(9000) % 2, np.float32(1), np.float32(-1))[:, None])
-    assert share_out_of_time(behind) > MOST_OUT
+    assert share_out_of_time(behind) > MAX_OUT_OF_TIME_SHARE
     assert not any("at their time" in one for one in impossible_reasons(level(behind, GRID)))
 
 
 def test_one_sweep_alone_says_that_it_cannot_tell() -> None:
     reports = _after(_monitor(), EARLIER_SWEEPS + 1)
-    assert [report.now.notes for report in reports] == [(ALONE,)] * EARLIER_SWEEPS + [()]
+    assert [report.now.notes for report in reports] == [(SINGLE_SWEEP_NOTE,)] * EARLIER_SWEEPS + [()]
     assert np.isnan([report.now.p_value for report in reports[:EARLIER_SWEEPS]]).all()
     assert not any(report.alarm for report in reports[:EARLIER_SWEEPS])
 
@@ -136,7 +136,7 @@ def test_a_stream_whose_time_is_none_begins_anew_and_says_so(time_ns: int, note:
     odd = level(_drive(50)[6].sweep.replace(t_ns=time_ns), GRID)
     report = monitor.check(odd)
     assert report.notes == (note,)
-    assert report.now.notes == (ALONE,)
+    assert report.now.notes == (SINGLE_SWEEP_NOTE,)
 
 
 def test_after_a_gap_the_past_stays_but_nothing_is_compared() -> None:
@@ -189,13 +189,13 @@ def test_evidence_that_looks_at_nothing_is_noted_once(without: tuple[str, ...], 
         monitor.check(level(leveled.sweep.replace(**dict.fromkeys(without)), GRID)).now.notes
         for leveled in _drive(50)[:25]
     ]
-    said = [(number, one) for number, each in enumerate(notes) for one in each if one != ALONE]
-    assert said == ([(LOOKED_SWEEPS - 1, note)] if note else [])
+    said = [(number, one) for number, each in enumerate(notes) for one in each if one != SINGLE_SWEEP_NOTE]
+    assert said == ([(SILENT_SWEEPS - 1, note)] if note else [])
 
 
 def test_a_rate_that_the_calibration_does_not_support_is_noted() -> None:
     sweep = _drive(50)[0]
-    assert StreamMonitor(per_hour=0.3).check(sweep).now.notes == (ALONE,)
+    assert StreamMonitor(per_hour=0.3).check(sweep).now.notes == (SINGLE_SWEEP_NOTE,)
     (_, note) = StreamMonitor(per_hour=0.01).check(sweep).now.notes
     assert note == "0.01 false alarms an hour are an extrapolation: the drives support 0.29"
 

@@ -168,7 +168,7 @@ def test_an_estimator_that_hangs_is_left_behind_when_the_pipeline_closes() -> No
     free, estimator = waiting_estimator()
     pipeline = Pipeline(estimator, lambda answer: None)
     free.clear()
-    pipeline._answering[1].patience_s = 0.3
+    pipeline._answering[1].timeout_s = 0.3
     pipeline.put(at(0.0, TINY))
     time.sleep(0.1)
     ended = closed(pipeline)
@@ -197,7 +197,7 @@ def test_a_publish_that_is_slow_is_given_the_newest_answer() -> None:
 
 
 def test_a_slow_step_of_files_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("viewshed.pipeline.stream._PUBLISH_PATIENCE_S", 0.1)
+    monkeypatch.setattr("viewshed.pipeline.stream._PUBLISH_TIMEOUT_S", 0.1)
     answers: list[Answer] = []
 
     def slow(answer: Answer) -> None:

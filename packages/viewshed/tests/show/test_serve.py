@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from viewshed.cli._options import AS_THEY_ARE
+from viewshed.cli._options import DEFAULT_READING
 from viewshed.estimators import load_estimator
 from viewshed.io.samples import junction_path
 from viewshed.show.view import serve
@@ -133,7 +133,7 @@ def test_the_command_makes_the_page_that_view_writes(monkeypatch: pytest.MonkeyP
         return Ended()
 
     monkeypatch.setattr(serve, "serving", kept)
-    import_module("viewshed.cli.view")._serve_page(AS_THEY_ARE, load_estimator("shadow_map", grid="indoor"))
+    import_module("viewshed.cli.view")._serve_page(DEFAULT_READING, load_estimator("shadow_map", grid="indoor"))
     [page_of] = made
     content, said = page_of("junction.pcd.bin.gz", junction_path().read_bytes())
     page = content.decode()

@@ -1,4 +1,4 @@
-// Clouds as sweeps, and estimates as grids: what the node says and hears, without rclcpp.
+// Convert clouds to sweeps and estimates to grids: the node's messages, without rclcpp.
 #pragma once
 
 #include <string>
@@ -10,11 +10,11 @@
 
 namespace viewshed_cpp {
 
-// The sweep of a cloud; it points into the cloud's data, so that nothing is copied. A ring field is read where one is named:
-// uint16, 0 the lowest beam. Throws std::invalid_argument where the cloud contradicts itself.
+// The sweep of a cloud. It points into the cloud's data, without a copy. If a ring field is named, it must be uint16 with 0
+// as the lowest beam. Throws std::invalid_argument if the cloud is inconsistent.
 viewshed_sweep sweep_of(const sensor_msgs::msg::PointCloud2 & cloud, const std::string & ring_field = "");
 
-// Which numbers a grid has: probabilities in percent, or states: FREE 0, HIDDEN 50, SURFACE 100; UNKNOWN is -1 in both.
+// Content of a grid: probabilities in percent, or states (FREE 0, HIDDEN 50, SURFACE 100). UNKNOWN is -1 in both.
 enum class Layer { VISIBILITY, STATE };
 
 // An estimate as a grid in the sensor's own frame, at the height and tilt of the ground below it.

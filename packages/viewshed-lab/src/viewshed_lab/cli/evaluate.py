@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from viewshed.cli._options import AS_THEY_ARE, Index, TargetName, Weights, parse_target
+from viewshed.cli._options import DEFAULT_READING, Index, TargetName, Weights, parse_target
 
 if TYPE_CHECKING:
     from viewshed.fov.estimate import FovEstimator
@@ -183,7 +183,7 @@ def beyond(
     from viewshed_lab.studies.beyond import beyond_page
 
     jobs, failures = list(chosen_files(files or [], index)), Failures()
-    sweeps = named_sweeps(AS_THEY_ARE, jobs, output_names([file for file, _ in jobs]), failures)
+    sweeps = named_sweeps(DEFAULT_READING, jobs, output_names([file for file, _ in jobs]), failures)
     _tell(beyond_page((named.name, named.sweep) for named in sweeps), out)
     if failures.count:
         raise typer.Exit(2)

@@ -1,4 +1,4 @@
-"""The command line: ``viewshed estimate``, ``view``, ``fuse`` and more, each one file; other packages add theirs."""
+"""The command line: ``viewshed estimate``, ``view``, ``fuse`` and more, one file each; other packages add commands."""
 
 from __future__ import annotations
 
@@ -34,14 +34,14 @@ _COMMANDS = (estimate, info, compare, view, replay, record, fuse, export, demo)
 LABORATORY_COMMANDS = (
     "simulate", "label", "attack", "corrupt", "train", "crossval", "quantize", "evaluate", "dataset", "study"
 )  # fmt: skip
-"""What the package viewshed-lab adds, in the order in which help lists it."""
+"""Commands of the package viewshed-lab, in the order of the help."""
 
 
 @cache
 def application() -> typer.Typer:
-    """Return the commands of this package, and those that installed packages bring by entry points.
+    """Return the Typer application: the commands of this package, and those of installed packages by entry points.
 
-    They are put together when they are first needed: a module of such a package may import this one.
+    Built lazily, because a module of such a package may import this one.
     """
     app = typer.Typer(name="viewshed", add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
     points = plugins("commands")
@@ -52,25 +52,25 @@ def application() -> typer.Typer:
         app.command(cls=SectionedCommand)(with_groups(command))
     app.add_typer(monitor_app, name="monitor")
     for name in dict.fromkeys([*LABORATORY_COMMANDS, *sorted(points)]):
-        brought: Any = None
+        loaded: Any = None
         problem: ImportError | None = None
         try:
             if name in points:
-                brought = load(points[name], callable, "a function or a typer.Typer")
+                loaded = load(points[name], callable, "a function or a typer.Typer")
         except ImportError as error:
             problem = error
-        if brought is None:
+        if loaded is None:
             words = {"ignore_unknown_options": True, "allow_extra_args": True}
             app.command(name, hidden=True, add_help_option=False, context_settings=words)(_missing(name, problem))
-        elif isinstance(brought, typer.Typer):
-            app.add_typer(brought, name=name)
+        elif isinstance(loaded, typer.Typer):
+            app.add_typer(loaded, name=name)
         else:
-            app.command(name, cls=SectionedCommand)(with_groups(brought))
+            app.command(name, cls=SectionedCommand)(with_groups(loaded))
     return app
 
 
 def _missing(name: str, problem: ImportError | None) -> Callable[[], None]:
-    """Return a command that says which package has it, or why it cannot be loaded."""
+    """Return a command that names the package that provides it, or raises why it cannot be loaded."""
 
     def command() -> None:
         if problem is not None:
@@ -80,8 +80,8 @@ def _missing(name: str, problem: ImportError | None) -> Callable[[], None]:
     return command
 
 
-def _version(is_wanted: bool) -> None:
-    if is_wanted:
+def _version(is_given: bool) -> None:
+    if is_given:
         typer.echo(f"viewshed {__version__}")
         raise typer.Exit
 
@@ -102,7 +102,7 @@ def main(arguments: list[str] | None = None) -> None:
     """Run a command and exit; bad input is one line on standard error and exit code 2, Ctrl-C is exit code 130.
 
     Args:
-        arguments: the command and its options; None takes those of the process.
+        arguments: the command and its options; None for those of the process.
     """
     words = sys.argv[1:] if arguments is None else arguments
     try:
@@ -116,7 +116,7 @@ def main(arguments: list[str] | None = None) -> None:
         _refuse(one_line(error))
     except (KeyboardInterrupt, typer.Abort):
         sys.exit(INTERRUPTED)
-    except SystemError as error:  # how an interrupt leaves compiled code
+    except SystemError as error:  # compiled code turns an interrupt into this
         if not _from_interrupt(error):
             raise
         sys.exit(INTERRUPTED)
@@ -129,7 +129,7 @@ def _from_interrupt(error: BaseException | None) -> bool:
 
 
 def _warn(message: Warning | str, category: type[Warning], *_: object, **__: object) -> None:
-    """Print a warning like other complaints, without the place in the source that Python would add."""
+    """Print a warning in one line, without the source location that Python would add."""
     line = " ".join(str(message).split())
     if category.__name__ == "Assumption":  # of viewshed.io, which is imported only where files are read
         note(line)

@@ -1,4 +1,4 @@
-"""Options that several commands share, and what they mean: how files are read, which estimator looks at them."""
+"""Options shared by several commands, and their effect: how files are read, which estimator is used."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ EngineName = Annotated[str, typer.Option(help="Where jobs run: local, or ray (a 
 AUTO = "auto"
 
 NO_SENSOR = "none"
-"""No sensor is known, and none is inferred from the points."""
+"""No sensor is given, and none is inferred from the points."""
 
 RING_SOURCES = ("file", "none")
 
@@ -102,18 +102,18 @@ PARAMETERS = ("sound", "paper")
 _NO_OPTION = "no option"
 
 _FAR_M = 10_000.0
-"""An origin beyond this is in a map."""
+"""An origin farther than this is in map coordinates."""
 
 _IN_FLOAT64 = (".pcd", ".ply", ".npy", ".las", ".laz", ".csv", ".xyz", ".asc")
 """Files whose coordinates may be float64."""
 
 _COARSE_M = 0.02
-"""Points that float32 stores in coarser steps than this are noted."""
+"""A note is printed if the float32 resolution of the points is coarser than this."""
 
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """How files are read: what the options say about them; see :func:`with_groups`."""
+    """Options for reading files; see :func:`with_groups`."""
 
     sensor: SensorName = AUTO
     format: FormatName = AUTO
@@ -132,7 +132,7 @@ class Reading:
             raise ValueError(f"ring must be one of {', '.join(RING_SOURCES)}, got {self.ring!r}")
 
     def sweeps(self, path: Path, entry: IndexEntry | None = None) -> Iterator[Sweep]:
-        """Yield the sweeps in a file, or the one of an index's entry, with the sensor that the options name."""
+        """Yield the sweeps in a file, or the sweep of an index entry, with the sensor that the options name."""
         from viewshed.sensors import lidar_model
 
         model = None if self.sensor in {AUTO, NO_SENSOR} else lidar_model(self.sensor)
@@ -148,14 +148,14 @@ class Reading:
             yield sweep.replace(**changes) if changes else sweep
 
     def _is_moved(self, path: Path) -> bool:
-        """Return whether the reader itself moves points to a far origin: in float64, before they are rounded."""
+        """Return whether the reader itself subtracts a far origin, in float64 before rounding to float32."""
         origin_m = parse_numbers("origin", self.origin, 3)
         if origin_m is None or self.file_frame is not None:
             return False
         return max(map(abs, origin_m)) > _FAR_M and path.name.lower().removesuffix(".gz").endswith(_IN_FLOAT64)
 
     def _seen_from(self, origin_m: list[float], sweep: Sweep, is_moved: bool) -> Sweep:
-        """Return a sweep seen from the sensor; its place is its pose where the points lie in a reference system."""
+        """Return a sweep relative to the sensor; with a reference system, the sensor's position becomes its pose."""
         import numpy as np
 
         from viewshed.geometry import Rigid
@@ -193,7 +193,7 @@ class Reading:
         )  # fmt: skip
 
     def _recorded(self, path: Path) -> Iterator[Sweep]:
-        """Yield the sweeps of a recording; what cannot be read costs one line each and an error at the end."""
+        """Yield the sweeps of a recording; print a line for each problem and raise at the end if there were any."""
         from viewshed.recordings.read.source import each_sweep
         from viewshed.recordings.recording import open_sweep_source
 
@@ -223,18 +223,18 @@ class Reading:
         yield self._overridden(read_indexed(entry))
 
     def _overridden(self, sweep: Sweep) -> Sweep:
-        """Return the sweep with the height and attitude that the options give."""
+        """Return the sweep with the height and attitude of the options."""
         given = {"sensor_height_m": self.height_m, "attitude": parse_numbers("attitude", self.attitude, 4)}
         return sweep.replace(**{name: value for name, value in given.items() if value is not None})
 
 
-AS_THEY_ARE = Reading()
-"""Files are read as they say themselves."""
+DEFAULT_READING = Reading()
+"""No option is given."""
 
 
 @dataclass(frozen=True, slots=True)
-class Following:
-    """What is made of sweeps beside their fields of view, and who forges it; see :func:`with_groups`."""
+class ObjectOptions:
+    """Options for objects, fusion and simulated attacks; see :func:`with_groups`."""
 
     objects: Annotated[bool, typer.Option("--objects", help="Detect, track and explain objects as well.")] = False
     fuse: Annotated[
@@ -260,19 +260,19 @@ class Following:
 
     @property
     def wants_objects(self) -> bool:
-        """Whether objects are followed: to be shown, or to be put together."""
+        """Whether objects are tracked, for display or for fusion."""
         return self.objects or self.fuse
 
     def adversary(self) -> Adversary | None:
-        """Return who forges, or None."""
+        """Return the adversary of ``--attack``, or None."""
         if self.attack is None:
             return None
         agents = frozenset((self.attacked or "").split(",")) - {""}
-        named = plugin("adversaries", "attacks", "--attack")
-        return cast("Adversary", named(self.attack, agents, start_s=self.attack_from))
+        make_adversary = plugin("adversaries", "attacks", "--attack")
+        return cast("Adversary", make_adversary(self.attack, agents, start_s=self.attack_from))
 
     def object_stream(self, adversary: Adversary | None) -> ObjectStream | None:
-        """Return what follows objects, or None."""
+        """Return the detector and tracker of objects, or None."""
         if not self.wants_objects:
             return None
         from viewshed.objects.object_stream import ObjectStream
@@ -280,48 +280,49 @@ class Following:
         return ObjectStream(tamper=None if adversary is None else adversary.detections)
 
 
-NOT_FOLLOWED = Following()
-"""Fields of view alone."""
+NO_OBJECTS = ObjectOptions()
+"""Fields of view only."""
 
 
 def with_groups(command: Callable[..., None]) -> Callable[..., None]:
-    """Return a command whose parameters that are dataclasses are an option for each of their fields; others as it is.
+    """Return a command in which each parameter that is a dataclass is replaced by one option for each of its fields.
 
-    The reference system is no such option: only commands that write maps have one.
+    Fields marked ``_NO_OPTION`` are left out: only commands that write maps have an option for the reference system.
     """
     signature, kind = inspect.signature(command, eval_str=True), inspect.Parameter.KEYWORD_ONLY
     groups: dict[str, type[Any]] = {
-        name: each.annotation
-        for name, each in signature.parameters.items()
-        if isinstance(each.annotation, type) and is_dataclass(each.annotation)
+        name: parameter.annotation
+        for name, parameter in signature.parameters.items()
+        if isinstance(parameter.annotation, type) and is_dataclass(parameter.annotation)
     }
     if not groups:
         return command
-    own = {name: _parameters(group) for name, group in groups.items()}
+    of_group = {name: _parameters(group) for name, group in groups.items()}
 
     @wraps(command)
     def with_options(**given: Any) -> None:
-        made = {
-            name: group(**{each.name: given.pop(each.name) for each in own[name]}) for name, group in groups.items()
+        values = {
+            name: group(**{option.name: given.pop(option.name) for option in of_group[name]})
+            for name, group in groups.items()
         }
-        command(**given, **made)
+        command(**given, **values)
 
-    # Typer takes options from the signature and their types from the annotations.
+    # Typer reads options from the signature and their types from the annotations.
     parameters: list[inspect.Parameter] = []
-    for each in signature.parameters.values():
-        parameters += own[each.name] if each.name in own else [each.replace(kind=kind)]
+    for parameter in signature.parameters.values():
+        parameters += of_group.get(parameter.name, [parameter.replace(kind=kind)])
     with_options.__dict__["__signature__"] = signature.replace(parameters=parameters)
-    with_options.__annotations__ = {each.name: each.annotation for each in parameters}
+    with_options.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
     return with_options
 
 
 def _parameters(group: type[Any]) -> list[inspect.Parameter]:
-    """Return a parameter for each field of a group that is an option."""
+    """Return a parameter for each field of a dataclass that is an option."""
     hints, kind = get_type_hints(group, include_extras=True), inspect.Parameter.KEYWORD_ONLY
     return [
-        inspect.Parameter(each.name, kind, default=each.default, annotation=hints[each.name])
-        for each in fields(group)
-        if _NO_OPTION not in each.metadata
+        inspect.Parameter(option.name, kind, default=option.default, annotation=hints[option.name])
+        for option in fields(group)
+        if _NO_OPTION not in option.metadata
     ]
 
 
@@ -336,24 +337,24 @@ SECTIONS = {
     ),
     "Attack": ("attack", "attacked", "attack_from"),
 }  # fmt: skip
-"""Options by what they are about, in the order in which help lists them; those that are nowhere come first."""
+"""Options by section of the help, in this order; options in no section come first."""
 
-_MANY = 12
-"""Help of a command with more options than this has sections."""
+_SECTIONED_ABOVE = 12
+"""Help has sections for commands with more options than this."""
 
 
 class SectionedCommand(TyperCommand):
     """A command whose help lists its options by :data:`SECTIONS`."""
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
-        """Write arguments and options, in sections where they are many."""
-        shown = self.get_params(ctx)
+        """Write arguments and options, in sections if there are many."""
+        parameters = self.get_params(ctx)
         of_section = {name: f"{title} options" for title, names in SECTIONS.items() for name in names}
-        titles = of_section if len(shown) > _MANY else {}
+        titles = of_section if len(parameters) > _SECTIONED_ABOVE else {}
         sections: dict[str, list[Any]] = {
             title: [] for title in ("Arguments", "Options", *dict.fromkeys(titles.values()))
         }
-        for param in shown:
+        for param in parameters:
             is_argument = param.param_type_name == "argument"
             title = "Arguments" if is_argument else titles.get(str(param.name), "Options")
             if (record := param.get_help_record(ctx)) is not None:
@@ -365,7 +366,7 @@ class SectionedCommand(TyperCommand):
 
 
 def parse_numbers(name: str, text: str | None, count: int) -> list[float] | None:
-    """Return ``count`` numbers from text with commas, or None.
+    """Parse ``count`` numbers separated by commas; None stays None.
 
     >>> parse_numbers("attitude", "1,0,0,0", 4)
     [1.0, 0.0, 0.0, 0.0]
@@ -382,7 +383,7 @@ def parse_numbers(name: str, text: str | None, count: int) -> list[float] | None
 
 
 def parse_grid(text: str) -> BevGrid:
-    """Return the grid of a preset's name or of CELLSxHALF_EXTENT_M.
+    """Return the grid of a preset or of CELLSxHALF_EXTENT_M.
 
     >>> parse_grid("128x32").cell_m
     0.5
@@ -462,7 +463,7 @@ AbstainBelow = Annotated[
 
 @dataclass(frozen=True, slots=True)
 class NetworkOptions:
-    """What the options say about a network; other estimators take none of them."""
+    """Options for networks; other estimators accept none of them."""
 
     weights: str | None = None
     passes: int | None = None
@@ -473,10 +474,10 @@ class NetworkOptions:
     def estimator(
         self, method: str | None, grid: BevGrid | None, target: str | None, parameters: str = "sound"
     ) -> Estimator:
-        """Return the estimator called ``method``; None is the best that is shipped, or the paper's label.
+        """Return the estimator named ``method``; None is the default, or with ``paper`` parameters the paper's label.
 
-        With the parameters ``paper`` its estimators may be named without ``paper_``. Grid and target may be None: those
-        of the weights, or road and car.
+        With ``paper`` parameters the prefix ``paper_`` may be left out. If grid or target is None, it is that of the
+        weights, or road and car.
         """
         from viewshed.estimators import load_estimator, paper_estimators_on
 
@@ -492,7 +493,7 @@ class NetworkOptions:
         )  # fmt: skip
 
     def threshold(self, given: float | None, estimator: Estimator, parameters: str = "sound") -> float:
-        """Return the probability from which a cell counts as visible; None is the estimator's own, or the paper's."""
+        """Return the threshold of visibility; None is the estimator's own, or the paper's."""
         from viewshed.estimators import PAPER_THRESHOLD
 
         if given is None:

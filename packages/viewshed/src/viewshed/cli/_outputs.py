@@ -1,6 +1,6 @@
-"""Where results go: one name for each sweep, and never over an input; progress bars, and lines about data sets.
+"""Results of commands: unique output names, never over an input, progress bars and summary lines.
 
-What ``viewshed estimate`` does with its sweeps, one by one or in batches, and the lines that it prints.
+:class:`Run` is the loop of ``viewshed estimate`` over its sweeps, one by one or in batches.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 RESULTS = ("png", "geojson", "npz")
-"""What is written of an estimate: picture, polygons, arrays; other formats of ``EXPORTERS`` where they are named."""
+"""Default results of an estimate: picture, polygons, arrays. Other formats of ``EXPORTERS`` only on request."""
 
 _SUFFIXES = (
     ".gz", ".zst", ".zstd", ".pcd.bin", ".bin", ".pcd", ".ply", ".npy", ".npz", ".feather", ".pcap", ".bag", ".mcap",
@@ -41,7 +41,7 @@ _SUFFIXES = (
 
 
 def stem_of(name: str) -> str:
-    """Return a file's name without the endings of its format.
+    """Return a file's name without the suffixes of its format.
 
     >>> stem_of("a.b.pcd.bin.gz")
     'a.b'
@@ -53,22 +53,22 @@ def stem_of(name: str) -> str:
 
 
 def parse_results(text: str, known: Sequence[str] = ()) -> tuple[str, ...]:
-    """Return what is written, in the order of what is known: of each sweep pictures and formats of ``EXPORTERS``.
+    """Parse the requested results, in the order of ``known``: by default ``png`` and the formats of ``EXPORTERS``.
 
     >>> parse_results("npz,png")
     ('png', 'npz')
     """
     from viewshed.io.export import EXPORTERS
 
-    wanted, known = text.split(","), known or tuple(dict.fromkeys((*RESULTS, *EXPORTERS)))
-    for name in wanted:
+    requested, known = text.split(","), known or tuple(dict.fromkeys((*RESULTS, *EXPORTERS)))
+    for name in requested:
         if name not in known:
             raise ValueError(f"results must be some of {','.join(known)}, with commas, got {text!r}")
-    return tuple(name for name in known if name in wanted)
+    return tuple(name for name in known if name in requested)
 
 
 def make_folder(out: Path) -> None:
-    """Make the folder of the results."""
+    """Create the folder of the results."""
     from viewshed.io.export import EXPORTERS
 
     if out.exists() and not out.is_dir():
@@ -82,7 +82,7 @@ def make_folder(out: Path) -> None:
 
 
 def stem_of_result(name: str, method: str) -> str:
-    """Return what the files of a sweep's results are named: one name for each method, the default one's the shortest.
+    """Return the file name, without suffix, of a sweep's results: the method is appended unless it is the default.
 
     >>> stem_of_result("a", "shadow_map"), stem_of_result("a", "unet")
     ('a', 'a_unet')
@@ -93,9 +93,9 @@ def stem_of_result(name: str, method: str) -> str:
 
 
 def output_names(files: Sequence[Path]) -> list[str]:
-    """Return one output name for each file, all different on every file system.
+    """Return one output name for each file; names differ even on file systems that ignore case.
 
-    Files of one name get their folder's before it, then a number.
+    Files with the same name are prefixed with the name of their folder, then numbered.
 
     >>> output_names([Path("a/x.bin"), Path("b/x.bin"), Path("y.pcd.bin.gz"), Path("b/x.bin")])
     ['a_x', 'b_x', 'y', 'b_x_1']
@@ -110,26 +110,26 @@ def output_names(files: Sequence[Path]) -> list[str]:
     return names
 
 
-def free_name(wanted: str, taken: set[str]) -> str:
-    """Return ``wanted``, with a number behind it if it is taken, and take it."""
-    name, number = wanted, 0
+def free_name(preferred: str, taken: set[str]) -> str:
+    """Return ``preferred``, with a number appended if it is taken, and add it to ``taken``."""
+    name, number = preferred, 0
     while name.casefold() in taken:
         number += 1
-        name = f"{wanted}_{number}"
+        name = f"{preferred}_{number}"
     taken.add(name.casefold())
     return name
 
 
 def refuse_inputs(places: Iterable[Path], inputs: Iterable[Path]) -> None:
-    """Check that no result replaces a file that is read."""
-    read = {os.path.realpath(file) for file in inputs}  # Path.resolve raises where links lead in a circle
+    """Check that no result would overwrite an input."""
+    read = {os.path.realpath(file) for file in inputs}  # Path.resolve raises on circular links
     for place in places:
         if os.path.realpath(place) in read:
             raise ValueError(f"{place} is an input and would be replaced; choose another place")
 
 
 class Named(NamedTuple):
-    """A sweep, the name of its results and the file that it came from."""
+    """A sweep, the name of its results and its file."""
 
     sweep: Sweep
     name: str
@@ -138,35 +138,35 @@ class Named(NamedTuple):
 
 @dataclass(slots=True)
 class Failures:
-    """Reports each failure in a line on standard error, and counts them."""
+    """Prints each failure as a line on standard error, and counts them."""
 
     count: int = 0
     _reported: set[str] = field(default_factory=set, init=False)
 
     def report(self, file: Path | str, error: Exception) -> None:
-        """Say what went wrong with a file; an error that is no fault of the input is raised."""
+        """Report a failure with a file; raise errors that are not caused by bad input."""
         if not isinstance(error, BAD_INPUTS):
             raise error
         self.count += 1
         text = one_line(error)
         line = text if Path(file).name in text else f"{file}: {text}"
-        if line not in self._reported:  # what is wrong with each sweep of a file is reported once
+        if line not in self._reported:  # print a problem of all sweeps of a file once
             self._reported.add(line)
             complain(line)
 
 
 def progress_bar(*columns: ProgressColumn | str, transient: bool = False) -> Progress:
-    """Return a bar on standard error with a description, how many are done of how many, and then ``columns``."""
+    """Return a progress bar on standard error with description, counts, and then ``columns``."""
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
     begin = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
-    to_terminal = sys.stdout.isatty()  # else the lines belong in the file or pipe, not above the bar
+    to_terminal = sys.stdout.isatty()  # print lines above the bar only if stdout is the terminal too
     return Progress(*begin, *columns, console=Console(stderr=True), transient=transient, redirect_stdout=to_terminal)
 
 
 def with_bar(items: Iterable[T], count: int) -> Iterator[T]:
-    """Yield some items, with a progress bar on standard error where that is a terminal and they are several."""
+    """Yield the items, with a progress bar if there are several and standard error is a terminal."""
     if count < 2 or not sys.stderr.isatty():
         yield from items
         return
@@ -176,21 +176,20 @@ def with_bar(items: Iterable[T], count: int) -> Iterator[T]:
 
 @dataclass(slots=True)
 class Run:
-    """What is done with every sweep."""
+    """Processes every sweep: estimates, checks, certifies and writes the results."""
 
-    estimator: Estimator  # what looks at it
+    estimator: Estimator
     threshold: float  # probability from which a cell counts as visible
     out: Path  # folder of the results
-    results: tuple[str, ...] = RESULTS  # what is written, ``png`` or names of ``EXPORTERS``
-    monitor: StreamMonitor | None = None  # says what it finds in each sweep; None without one
-    crs: str | None = None  # reference system of the poses, for the formats that have one; None for none
-    dark: bool = False  # whether pictures are on a dark page
-    # against what the claims are certified, ``added`` or ``replaced:5``; None where they are not
-    certify: Threat | None = None
+    results: tuple[str, ...] = RESULTS  # results to write: ``png`` or names of ``EXPORTERS``
+    monitor: StreamMonitor | None = None  # checks each sweep, or None
+    crs: str | None = None  # reference system of the poses, for formats that have one, or None
+    dark: bool = False  # whether pictures have a dark background
+    certify: Threat | None = None  # threat for which claims are certified, or None
     _is_warm: bool = field(default=False, init=False)
 
     def summaries(self, sweeps: Iterable[Named], failures: Failures, batch: int = 1) -> Iterator[Summary]:
-        """Yield the summary of each sweep, one by one and timed, or ``batch`` of them together."""
+        """Yield the summary of each sweep: one by one and timed, or in batches and not timed."""
         if batch > 1:
             yield from self._in_batches(sweeps, failures, batch)
             return
@@ -201,7 +200,7 @@ class Run:
                 failures.report(named.file, error)
 
     def places(self, name: str) -> list[Path]:
-        """Return the files of a sweep's results, pictures of nav2's maps aside, in the order of ``results``."""
+        """Return the result files of a sweep in the order of ``results``, without the images of nav2 maps."""
         from viewshed.io.export import EXPORTERS
 
         stem = stem_of_result(name, self.estimator.name)
@@ -228,17 +227,17 @@ class Run:
         return replace(summary, verdicts=stream_verdicts(self.monitor.check(leveled)))
 
     def together(self, sweeps: Iterable[Named], name: str) -> Iterator[Summary]:
-        """Yield the one summary of a vehicle's sweeps, if there are any; the picture shows the first's returns."""
+        """Yield one summary of all sweeps of a vehicle, if there are any; the picture shows the first one's returns."""
         from viewshed.fov.union import union_of_views
         from viewshed.preprocess.leveling import level
 
         named = list(sweeps)
         if not named:
             return
-        leveled = [level(each.sweep, self.estimator.grid) for each in named]
-        for each, one in zip(named[1:], leveled[1:], strict=True):
-            report_doubts(one, each.name)
-        estimate = union_of_views([self.estimator.estimate(each) for each in leveled])
+        leveled = [level(one.sweep, self.estimator.grid) for one in named]
+        for one, sweep in zip(named[1:], leveled[1:], strict=True):
+            report_doubts(sweep, one.name)
+        estimate = union_of_views([self.estimator.estimate(sweep) for sweep in leveled])
         yield self.write(leveled[0], name, replace(estimate, method=f"{estimate.method} of {len(named)} sensors"))
 
     def _in_batches(self, sweeps: Iterable[Named], failures: Failures, batch: int) -> Iterator[Summary]:
@@ -283,7 +282,7 @@ class Run:
     def write(
         self, leveled: LeveledSweep, name: str, estimate: FovEstimate, elapsed_ms: float | None = None
     ) -> Summary:
-        """Write the results of an estimate and return its summary, with the time if there is one."""
+        """Write the results of an estimate and return its summary."""
         from viewshed._files import write_atomic
         from viewshed.io.export import EXPORTERS, write_export
 
@@ -307,9 +306,9 @@ class Run:
 
 
 def warm_up(estimator: Estimator, sweep: Sweep) -> None:
-    """Load compiled code on every eighth return: the time that is printed is that of the estimator.
+    """Run the estimator once on every eighth return, so that printed times do not include loading of code.
 
-    Without its time a sweep is not remembered by an estimator that keeps a history.
+    The time stamp is removed, so that an estimator with a history does not remember the sweep.
     """
     import numpy as np
 
@@ -317,7 +316,7 @@ def warm_up(estimator: Estimator, sweep: Sweep) -> None:
 
 
 def report_doubts(leveled: LeveledSweep, name: str) -> None:
-    """Say on standard error what cannot well be as it was read, a line each."""
+    """Print a warning on standard error for each implausible property of a sweep."""
     from viewshed.preprocess.plausibility import check_units, doubts
 
     check_units(leveled.sweep)
@@ -326,7 +325,7 @@ def report_doubts(leveled: LeveledSweep, name: str) -> None:
 
 
 def summary_line(estimate: FovEstimate, elapsed_ms: float | None = None) -> str:
-    """Return visible area, shares of hidden and unknown cells, method and time if any, in one line."""
+    """Return one line with visible area, shares of hidden and unknown cells, method and time (if known)."""
     from viewshed.fov.estimate import CellState
 
     hidden, unknown = estimate.share(CellState.HIDDEN), estimate.share(CellState.UNKNOWN)
@@ -340,50 +339,50 @@ def summary_line(estimate: FovEstimate, elapsed_ms: float | None = None) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Summary:
-    """What is said of one sweep."""
+    """Summary of one sweep."""
 
     name: str  # of its results
     estimate: FovEstimate
-    elapsed_ms: float | None  # of leveling and estimate; None where they were not timed
+    elapsed_ms: float | None  # of leveling and estimate; None if not timed
     places: tuple[Path, ...]  # of its results
-    remarks: tuple[str, ...] = ()  # what a reader should know of it first, each in a few words
-    verdicts: str = ""  # what a monitor says; empty without one
+    remarks: tuple[str, ...] = ()  # caveats in a few words each
+    verdicts: str = ""  # of a monitor; empty without one
 
     @property
     def line(self) -> str:
-        """For people, up to 100 characters where there are no remarks and no verdicts."""
-        said = (summary_line(self.estimate, self.elapsed_ms), *self.remarks, *filter(None, [self.verdicts]))
-        return f"{self.name}: {'; '.join(said)} → {self.places[0]}"
+        """One line of text, up to 100 characters without remarks and verdicts."""
+        parts = (summary_line(self.estimate, self.elapsed_ms), *self.remarks, *filter(None, [self.verdicts]))
+        return f"{self.name}: {'; '.join(parts)} → {self.places[0]}"
 
     @property
     def json(self) -> str:
-        """For programs: all that is known, on one line."""
+        """One line of JSON with all fields."""
         from viewshed.fov.estimate import CellState
 
         estimate, basis = self.estimate, self.estimate.basis
         shares = {f"{state.name.lower()}_share": round(estimate.share(state), 6) for state in CellState}
-        known = {
+        fields = {
             "name": self.name, "visible_m2": estimate.area_m2(), **shares, "method": estimate.method,
             "target": estimate.target.name, "ms": self.elapsed_ms, "basis": None if basis is None else asdict(basis),
             "remarks": self.remarks, "verdicts": self.verdicts, "results": [str(place) for place in self.places],
         }  # fmt: skip
-        return json.dumps(known, ensure_ascii=False)
+        return json.dumps(fields, ensure_ascii=False)
 
 
 def total_line(areas_m2: Sequence[float], times_ms: Sequence[float | None]) -> str:
-    """Return mean, least and greatest visible area of many sweeps, and the median of the times that are known."""
+    """Return one line with mean, minimum and maximum visible area of many sweeps, and the median of the known times."""
     known_ms = sorted(time_ms for time_ms in times_ms if time_ms is not None)
     elapsed = f"; {known_ms[len(known_ms) // 2]:.0f} ms each" if known_ms else ""
     mean_m2 = sum(areas_m2) / len(areas_m2)
     return f"{len(areas_m2)} sweeps: {mean_m2:.0f} m² on average, {min(areas_m2):.0f} to {max(areas_m2):.0f}{elapsed}"
 
 
-_MUCH = 0.2
-"""A larger share of the view over unsure ground, or by inferred beams, is worth a word."""
+_NOTABLE_SHARE = 0.2
+"""A remark is added if a larger share of the view is over unsure ground, or by inferred beams."""
 
 
 def _remarks(leveled: LeveledSweep, estimate: FovEstimate) -> tuple[str, ...]:
-    """Return what the estimate rests on, where that is worth a word, and how many returns were left out."""
+    """Return remarks on an estimate: its sensor height, uncertain parts of the view, returns left out."""
     from viewshed.preprocess.reach import returns_beyond
 
     if len(leveled.points) == 0:
@@ -391,11 +390,11 @@ def _remarks(leveled: LeveledSweep, estimate: FovEstimate) -> tuple[str, ...]:
     basis, remarks = estimate.basis, []
     if basis is not None:
         height, is_assumed = f"{basis.sensor_height_m:.2f} m", basis.height_source == "assumed"
-        seen = f"ground not seen, sensor taken to be {height} above it" if is_assumed else f"sensor {height} high"
-        remarks.append(seen)
+        assumed = f"ground not seen, sensor taken to be {height} above it"
+        remarks.append(assumed if is_assumed else f"sensor {height} high")
         if estimate.visible().any():
             shares = ((basis.unsure_ground_share, "over unsure ground"), (basis.inferred_share, "by inferred beams"))
-            remarks += [f"{share:.0%} of the view {words}" for share, words in shares if share > _MUCH]
+            remarks += [f"{share:.0%} of the view {words}" for share, words in shares if share > _NOTABLE_SHARE]
     model = leveled.sweep.model
     beyond = returns_beyond(leveled.sweep.points, model)
     if model is not None and beyond:

@@ -1,4 +1,4 @@
-"""From what a user names to files: a file, a pattern, a folder of sweeps, a recording; and the places of results."""
+"""Resolve command-line paths: files, patterns, folders of sweeps and recordings; and paths of results."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from viewshed.cli._terminal import note
 if TYPE_CHECKING:
     from viewshed.io import IndexEntry
 
-_FOLDERS_SEARCHED = 200
-"""Most folders, below one without sweeps, that are searched for a hint."""
+_MAX_FOLDERS = 200
+"""Maximum number of subfolders searched for a hint where sweeps are."""
 
 _PATTERN = re.compile(r"[*?\[]")
 _ADDRESS = re.compile(r"[a-z][a-z0-9+.-]+:/", re.IGNORECASE)
-"""How an address such as ``s3://bucket/sweeps`` begins, as a path: with one slash."""
+"""Start of a URL such as ``s3://bucket/sweeps`` after conversion to a path, which keeps one slash."""
 
 
 def chosen_files(files: list[Path], index: Path | None) -> Iterator[tuple[Path, IndexEntry | None]]:
-    """Yield each file with its entry in the index; without files, every sweep of the index."""
+    """Yield each file with its index entry; without files, all sweeps of the index."""
     if index is None:
         if not files:
             raise ValueError("name at least one FILE, or an --index")
@@ -46,15 +46,15 @@ def chosen_files(files: list[Path], index: Path | None) -> Iterator[tuple[Path, 
 
 
 def files_in(place: Path) -> list[Path]:
-    """Return the files and recordings that are read for a place, in the order of the numbers in their names.
+    """Return the files and recordings at a path, in the order of the numbers in their names.
 
-    A pattern is the files that it fits, a folder of sweeps is its sweeps and bags; anything else is the place itself.
+    A pattern is expanded; a folder of sweeps gives its sweeps and bags; any other path is returned itself.
     """
     if _PATTERN.search(str(place)) and not place.exists():
-        found = sorted((Path(name) for name in glob(str(place), recursive=True)), key=_by_numbers)  # noqa: PTH207
-        if not found:
+        matches = sorted((Path(name) for name in glob(str(place), recursive=True)), key=_by_numbers)  # noqa: PTH207
+        if not matches:
             raise ValueError(f"no file fits {place}")
-        return [file for each in found for file in files_in(each)]
+        return [file for match in matches for file in files_in(match)]
     if _ADDRESS.match(str(place)) and not place.exists():
         raise ValueError(
             f"{str(place).replace(':/', '://', 1)} must be a file or a folder, got an address; copy what lies there to"
@@ -64,7 +64,7 @@ def files_in(place: Path) -> list[Path]:
 
 
 def _files_of_folder(folder: Path) -> list[Path]:
-    """Return the sweeps and bags in a folder, or the folder where it is a recording."""
+    """Return the sweeps and bags in a folder, or the folder itself if it is a recording."""
     from viewshed.io.formats import BAG_SUFFIXES, all_formats
     from viewshed.recordings.read import SOURCES
     from viewshed.recordings.recording import is_data_set
@@ -73,27 +73,25 @@ def _files_of_folder(folder: Path) -> list[Path]:
         return [folder]
     plain = tuple(dict.fromkeys(suffix for known in all_formats().values() for suffix in known.suffixes))
     endings = tuple(suffix + packed for suffix in plain for packed in ("", ".gz"))
-    held = sorted(folder.iterdir(), key=_by_numbers)
-    sweeps = [file for file in held if file.name.lower().endswith(endings) and file.is_file()]
-    fits = next((name for name, known in SOURCES.items() if known.fits(folder)), None)
-    if fits is not None and not (fits == "bag" and sweeps):
+    content = sorted(folder.iterdir(), key=_by_numbers)
+    sweeps = [file for file in content if file.name.lower().endswith(endings) and file.is_file()]
+    layout = next((name for name, known in SOURCES.items() if known.fits(folder)), None)
+    if layout is not None and not (layout == "bag" and sweeps):
         return [folder]
     if sweeps:
-        files = [file for file in held if file in sweeps or file.name.lower().endswith(BAG_SUFFIXES)]
-        left = sum(1 for file in held if file.is_dir())
-        if left:
-            note(f"{folder}: {len(files)} files are read, {left} folders in it are not")
+        files = [file for file in content if file in sweeps or file.name.lower().endswith(BAG_SUFFIXES)]
+        folders = sum(1 for file in content if file.is_dir())
+        if folders:
+            note(f"{folder}: {len(files)} files are read, {folders} folders in it are not")
         return files
-    inner = next(
-        (each for each in islice(_folders_in(folder), _FOLDERS_SEARCHED) if _holds_sweeps(each, endings)), None
-    )
+    inner = next((path for path in islice(_folders_in(folder), _MAX_FOLDERS) if _holds_sweeps(path, endings)), None)
     hint = f"; {inner} has some" if inner is not None else f"; sweeps end in {', '.join(plain)}"
     layouts = ", ".join(SOURCES)
     raise ValueError(f"{folder} is a folder without sweeps and no recording ({layouts}){hint}")
 
 
 def _folders_in(folder: Path) -> Iterator[Path]:
-    """Yield the folders below a folder, in the order of their names; links are not followed."""
+    """Yield all folders below a folder by name; symbolic links are not followed."""
     for here, inner, _ in os.walk(folder):
         inner.sort()
         yield Path(here)
@@ -107,7 +105,7 @@ def _holds_sweeps(folder: Path, endings: tuple[str, ...]) -> bool:
 
 
 def _by_numbers(path: Path) -> list[tuple[int, str]]:
-    """Return what sorts paths by the numbers in them: ``2.bin`` before ``10.bin``.
+    """Return a key that sorts paths by the numbers in them: ``2.bin`` before ``10.bin``.
 
     >>> sorted([Path("10.bin"), Path("2.bin"), Path("3²1.bin")], key=_by_numbers)[0].name
     '2.bin'
@@ -116,9 +114,9 @@ def _by_numbers(path: Path) -> list[tuple[int, str]]:
 
 
 def place_of_result(out: str | None, name: str) -> Path:
-    """Return where one result goes: the file ``out``, or ``name`` in the folder ``out`` or here.
+    """Return the path of a single result: the file ``out``, or ``name`` in the folder ``out`` or the current one.
 
-    A name with an ending is a file. Any other is a folder, as it is for commands with several results; it is made.
+    ``out`` with a suffix is a file. Otherwise it is a folder, as for commands with several results, and is created.
 
     >>> place_of_result(None, "a.geojson").name, place_of_result("b.json", "a.geojson").name
     ('a.geojson', 'b.json')

@@ -1,4 +1,4 @@
-"""``--profile`` of the commands that run a pipeline: settings by use, where no option beside it says otherwise."""
+"""``--profile`` of the commands that run a pipeline: default settings by use case, which other options override."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ Method = Annotated[
 
 @dataclass(frozen=True, slots=True)
 class PipelineOptions:
-    """What the options say of the pipeline that ``replay`` and ``record`` run."""
+    """Options of the pipeline that ``replay`` and ``record`` run."""
 
     profile: ProfileName = None
     method: Method = None
@@ -57,7 +57,7 @@ class PipelineOptions:
     certified_only: CertifiedOnly = False
 
     def settings(self, ctx: typer.Context) -> Profile:
-        """Return what they come to: of a profile where an option is not given, and the usual ones without one."""
+        """Return the resulting settings: given options, else those of the profile, else the defaults."""
         from viewshed.guarantees.envelope import Threat
         from viewshed.pipeline.profiles import Profile, profile_named
         from viewshed.pipeline.reactions import RULES
@@ -65,19 +65,19 @@ class PipelineOptions:
         threat = None if self.certify is None else Threat.parse(self.certify)
         if self.profile is None:
             return Profile(self.method, self.grid, self.history, self.monitor, RULES, 0.0, threat)
-        found, given = profile_named(self.profile), dict[str, Any]()
+        profile, given = profile_named(self.profile), dict[str, Any]()
         for name in ("method", "grid", "history", "monitor"):
             source = ctx.get_parameter_source(name)
             if source is not None and source.name != "DEFAULT":
                 given[name] = getattr(self, name)
-        return replace(found, **given, certify=threat or found.certify)
+        return replace(profile, **given, certify=threat or profile.certify)
 
 
-AS_USUAL = PipelineOptions()
+DEFAULT_PIPELINE = PipelineOptions()
 
 
 def at_rate(sweeps: Iterable[Named], rate_hz: float) -> Iterator[Named]:
-    """Return the sweeps without those that come sooner after the one before of their agent than the rate allows."""
+    """Return the sweeps, dropping those that exceed the rate of their agent."""
     from viewshed.pipeline import RateLimit
 
     limit = RateLimit(rate_hz)

@@ -1,4 +1,4 @@
-"""Running a pipeline over sweeps with the answers handed to recorders, for ``replay``, ``record`` and ``view``."""
+"""Run a pipeline over sweeps and hand the answers to recorders, for ``replay``, ``record`` and ``view``."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
-from viewshed.cli._options import NOT_FOLLOWED, Following, NetworkOptions, parse_grid
+from viewshed.cli._options import NO_OBJECTS, NetworkOptions, ObjectOptions, parse_grid
 from viewshed.cli._outputs import Failures, Named, refuse_inputs
 from viewshed.cli._profile import PipelineOptions
 from viewshed.cli._stream import history_buffer
 from viewshed.cli._terminal import note
-from viewshed.cli._verdicts import stream_verdicts, watching
+from viewshed.cli._verdicts import optional_monitor, stream_verdicts
 
 if TYPE_CHECKING:
     from viewshed.agents.rounds import Round
@@ -40,24 +40,24 @@ To = Annotated[
 SchemaNames = Annotated[str, typer.Option("--schemas", help="Messages of the bag: ros, or foxglove (NAME.mcap).")]
 
 
-class Awaited(NamedTuple):
-    """A sweep whose answer is awaited: of whom, when it was due since the first, and what a simulation tells of it."""
+class PendingSweep(NamedTuple):
+    """A sweep whose answer is pending."""
 
     agent: str
-    due_s: float
+    due_s: float  # time since the first sweep
     sweep: Sweep
-    truth: DriveTruth | None = None
+    truth: DriveTruth | None = None  # of a simulation
 
 
 class Listener:
-    """Prints the line of each answer and hands it, with its sweep, to what records.
+    """Prints a line for each answer and hands the answer, with its sweep, to recorders.
 
     Args:
-        records: what takes the moments.
-        failures: count the sweeps that were refused.
+        records: called with each moment.
+        failures: reports refused sweeps.
         is_live: whether latencies are recorded.
-        following: whether agents are put together.
-        adversary: who forges, or None.
+        object_options: whether agents are fused.
+        adversary: of a simulated attack, or None.
     """
 
     def __init__(
@@ -66,28 +66,28 @@ class Listener:
         failures: Failures,
         *,
         is_live: bool,
-        following: Following = NOT_FOLLOWED,
+        object_options: ObjectOptions = NO_OBJECTS,
         adversary: Adversary | None = None,
     ) -> None:
         self._records, self._failures, self._is_live = records, failures, is_live
-        self._awaited: dict[int, Awaited] = {}
-        self._awaited_lock = Lock()  # sweeps are sent by one thread while another takes the answers
+        self._pending: dict[int, PendingSweep] = {}
+        self._pending_lock = Lock()  # one thread sends sweeps while another takes answers
         self._times: RisingTimes | None = None
-        self._center = Center(adversary) if following.fuse else None
+        self._center = Center(adversary) if object_options.fuse else None
         self._adversary, self._forged = adversary, set[str]()
         self._metrics: TrackMetrics | None = None
         self.on_accused: Callable[[frozenset[str]], None] = lambda agents: None
-        """Is given the agents that the center accuses, after each round."""
+        """Called after each round with the agents that the center accuses."""
         self.failed = False
-        """Whether an answer could not be taken; none is taken after that."""
+        """Whether an answer could not be handled; later ones are ignored then."""
 
-    def expect(self, number: int, awaited: Awaited) -> None:
-        """Keep a sweep until its answer comes, or that of a later one of its agent."""
-        with self._awaited_lock:
-            self._awaited[number] = awaited
+    def expect(self, number: int, pending: PendingSweep) -> None:
+        """Remember a sweep until its answer comes, or the answer of a later sweep of its agent."""
+        with self._pending_lock:
+            self._pending[number] = pending
 
     def __call__(self, answer: Answer) -> None:
-        """Take an answer, unless one could not be taken before: what is recorded has no gaps."""
+        """Handle an answer, unless one has failed: recordings must have no gaps."""
         if self.failed:
             return
         try:
@@ -97,56 +97,54 @@ class Listener:
             raise
 
     def _take(self, answer: Answer) -> None:
-        with self._awaited_lock:
-            awaited = self._awaited[answer.number]
-            # Earlier sweeps of the agent have no answer any more: they were dropped.
-            for number in [
-                k for k, each in self._awaited.items() if each.agent == awaited.agent and k <= answer.number
-            ]:
-                del self._awaited[number]
+        with self._pending_lock:
+            pending = self._pending[answer.number]
+            # Earlier sweeps of the agent were dropped and get no answer.
+            for number in [k for k, one in self._pending.items() if one.agent == pending.agent and k <= answer.number]:
+                del self._pending[number]
         if answer.estimate is None:
-            self._failures.report(f"{awaited.due_s:.3f} s", ValueError(answer.refused))
+            self._failures.report(f"{pending.due_s:.3f} s", ValueError(answer.refused))
         else:
             findings = "" if answer.report is None else f"; {stream_verdicts(answer.report)}"
             visible = f"visible {answer.estimate.area_m2():.0f} m²"
             findings += "" if answer.objects is None else objects_line(answer.objects)
-            typer.echo(f"{awaited.due_s:9.3f} s  {visible}  {1e3 * answer.latency_s:.1f} ms{findings}")
+            typer.echo(f"{pending.due_s:9.3f} s  {visible}  {1e3 * answer.latency_s:.1f} ms{findings}")
         done = None if self._center is None else self._center.take(answer)
         if done is not None and self._center is not None:
             self.on_accused(self._center.accused)
         if self._records:
-            self._record(answer, awaited, done)
+            self._record(answer, pending, done)
 
-    def _record(self, answer: Answer, awaited: Awaited, done: Round | None) -> None:
+    def _record(self, answer: Answer, pending: PendingSweep, done: Round | None) -> None:
         from viewshed.recordings.write.moment import Moment, RisingTimes
 
         self._times = self._times or RisingTimes()
-        t_ns = self._times.of(awaited.agent, awaited.sweep.t_ns)
+        t_ns = self._times.of(pending.agent, pending.sweep.t_ns)
         if self._adversary is not None:
-            known = {awaited.agent} if awaited.truth is None else set(awaited.truth.mounts)
+            known = {pending.agent} if pending.truth is None else set(pending.truth.mounts)
             self._forged |= self._adversary.agents or known
         moment = Moment(
-            awaited.agent, t_ns, awaited.sweep, answer, awaited.truth, self._is_live, self._metrics_of(answer, awaited),
-            tuple(sorted(self._forged)), done, None if self._center is None else self._center.trust.get(awaited.agent),
+            pending.agent, t_ns, pending.sweep, answer, pending.truth, self._is_live, self._metrics_of(answer, pending),
+            tuple(sorted(self._forged)), done, None if self._center is None else self._center.trust.get(pending.agent),
         )  # fmt: skip
         for record in self._records:
             record(moment)
 
-    def _metrics_of(self, answer: Answer, awaited: Awaited) -> dict[str, float]:
-        """Return how well the tracks agree with the truth; nothing where there is no truth, or there are no tracks."""
-        if answer.objects is None or awaited.truth is None:
+    def _metrics_of(self, answer: Answer, pending: PendingSweep) -> dict[str, float]:
+        """Return metrics of the tracks against the truth; empty without truth or tracks."""
+        if answer.objects is None or pending.truth is None:
             return {}
         from viewshed.recordings.write.track_metrics import TrackMetrics
 
         self._metrics = self._metrics or TrackMetrics()
-        return self._metrics.of(awaited.agent, 1e-9 * (awaited.sweep.t_ns or 0), answer.objects, awaited.truth)
+        return self._metrics.of(pending.agent, 1e-9 * (pending.sweep.t_ns or 0), answer.objects, pending.truth)
 
 
 class Center:
-    """Puts the answers of several agents together and prints a line for each round.
+    """Fuses the answers of several agents and prints a line for each round.
 
     Args:
-        adversary: who forges claimed fields of view, or None.
+        adversary: forges claimed fields of view, or None.
     """
 
     def __init__(self, adversary: Adversary | None = None) -> None:
@@ -155,18 +153,18 @@ class Center:
         self._rounds, self._adversary = Rounds(), adversary
         self._last: Round | None = None
         self.trust: dict[str, float] = {}
-        """In each agent, after the last round."""
+        """Trust in each agent after the last round."""
         self.accused: frozenset[str] = frozenset()
-        """Agents that lie by the center's limits, after the last round."""
+        """Agents accused of lies after the last round."""
 
     def take(self, answer: Answer) -> Round | None:
-        """Return the last round that an answer ended, if it did."""
+        """Add an answer and return the last round that it completed, if any."""
         if answer.leveled is None or answer.estimate is None or answer.objects is None:
             return None
         return self.add(answer.leveled.delivered, answer.estimate, answer.objects)
 
     def add(self, sweep: Sweep, estimate: FovEstimate, objects: SeenObjects) -> Round | None:
-        """Return the last round that a report ended, if it did; a pose is as certain as its sweep states."""
+        """Add a report and return the last round that it completed, if any; pose errors are those the sweep states."""
         from viewshed.agents.registration import PoseStd
         from viewshed.agents.report import AgentReport
         from viewshed.cli.fuse import line_of, note_gaps
@@ -177,21 +175,21 @@ class Center:
             )
         claimed = estimate if self._adversary is None else self._adversary.view(estimate)
         report = AgentReport.of(claimed, objects.detections, PoseStd.stated_by(sweep), objects.ground)
-        done = self._rounds.add(1e-9 * estimate.t_ns, report)
+        rounds = self._rounds.add(1e-9 * estimate.t_ns, report)
         for line in self._rounds.notes:
             note(line)
-        for each in done:
-            typer.echo(f"center: {line_of(each)}")
-            note_gaps(each, self._last)
-            self._last = each
-            agents = each.picture.agents
-            self.trust |= dict(zip(agents, each.picture.verdicts.trust.tolist(), strict=True))
-            self.accused = frozenset(name for name, flag in zip(agents, each.accused, strict=True) if flag)
-        return done[-1] if done else None
+        for done in rounds:
+            typer.echo(f"center: {line_of(done)}")
+            note_gaps(done, self._last)
+            self._last = done
+            agents = done.picture.agents
+            self.trust |= dict(zip(agents, done.picture.verdicts.trust.tolist(), strict=True))
+            self.accused = frozenset(name for name, flag in zip(agents, done.accused, strict=True) if flag)
+        return rounds[-1] if rounds else None
 
 
 def objects_line(objects: SeenObjects) -> str:
-    """Return how many objects are detected and tracked, and how many tracks are suspicious."""
+    """Return the numbers of detected objects, tracks and suspicious tracks as text."""
     suspicious = int((objects.shown & objects.explained.accused).sum())
     counts = f"; {len(objects.detections)} objects, {objects.shown.sum()} tracks"
     return counts + (f", {suspicious} suspicious" if suspicious else "")
@@ -199,9 +197,9 @@ def objects_line(objects: SeenObjects) -> str:
 
 def run_recorded(
     running: PipelineOptions,
-    chosen: Profile,
-    sweeps: Iterable[Awaited],
-    following: Following,
+    settings: Profile,
+    sweeps: Iterable[PendingSweep],
+    object_options: ObjectOptions,
     failures: Failures,
     *,
     to: Path | None,
@@ -209,15 +207,16 @@ def run_recorded(
     inputs: Sequence[Path],
     is_live: bool,
 ) -> None:
-    """Answer sweeps, write what came of them to a bag if one is named, and end the command with its exit code.
+    """Answer sweeps, write sweeps and answers to a bag if one is named, and exit with code 2 after failures.
 
-    Live, a sweep that comes too late is dropped; else each is answered, and equal sweeps give equal bytes.
+    Live, late sweeps are dropped. Otherwise each is answered, and equal sweeps give equal bytes.
     """
-    estimator = NetworkOptions().estimator(chosen.method, parse_grid(chosen.grid), running.target)
-    buffer, watch = history_buffer(estimator, chosen.history), watching(chosen.monitor, running.monitor_file)
+    estimator = NetworkOptions().estimator(settings.method, parse_grid(settings.grid), running.target)
+    buffer = history_buffer(estimator, settings.history)
+    watch = optional_monitor(settings.monitor, running.monitor_file)
     with recorders(to, schemas, inputs) as records:
         count = answer(
-            records, sweeps, estimator, buffer, watch, chosen, following, failures, is_live=is_live,
+            records, sweeps, estimator, buffer, watch, settings, object_options, failures, is_live=is_live,
             certified_only=running.certified_only,
         )  # fmt: skip
         if to is not None and not count:
@@ -245,7 +244,7 @@ def recorders(to: Path | None, schemas: str, inputs: Sequence[Path]) -> Iterator
 
 
 def repeated(read: Callable[[], Iterable[Named]], *, loop: bool) -> Iterator[Named]:
-    """Yield the sweeps once, or again and again as long as any can be read."""
+    """Yield the sweeps once, or in a loop as long as any can be read."""
     is_any = True
     while is_any:
         is_any = False
@@ -256,34 +255,36 @@ def repeated(read: Callable[[], Iterable[Named]], *, loop: bool) -> Iterator[Nam
 
 def answer(
     records: Sequence[Record],
-    sweeps: Iterable[Awaited],
+    sweeps: Iterable[PendingSweep],
     estimator: Estimator,
     history: SweepBuffer | None,
     watch: StreamMonitor | None,
-    chosen: Profile,
-    following: Following,
+    settings: Profile,
+    object_options: ObjectOptions,
     failures: Failures,
     *,
     is_live: bool,
     certified_only: bool = False,
 ) -> int:
-    """Answer sweeps, hand the answers to what records, and return how many sweeps there were; see :func:`run`."""
+    """Answer sweeps, hand the answers to the recorders, and return the number of sweeps; see :func:`run`."""
     from viewshed.pipeline import Pipeline
 
-    adversary = following.adversary()
-    listener = Listener(records, failures, is_live=is_live, following=following, adversary=adversary)
+    adversary = object_options.adversary()
+    listener = Listener(records, failures, is_live=is_live, object_options=object_options, adversary=adversary)
     pipeline = Pipeline(
-        estimator, listener, history=history, monitor=watch, objects=following.object_stream(adversary),
-        rules=chosen.rules, certify=chosen.certify, certified_only=certified_only,
+        estimator, listener, history=history, monitor=watch, objects=object_options.object_stream(adversary),
+        rules=settings.rules, certify=settings.certify, certified_only=certified_only,
         lossless=not is_live, stale_after_s=math.inf,
     )  # fmt: skip
     return run(pipeline, listener, sweeps, adversary)
 
 
-def run(pipeline: Pipeline, listener: Listener, sweeps: Iterable[Awaited], adversary: Adversary | None = None) -> int:
-    """Put sweeps into a pipeline whose answers go to a listener, print what was done, and return how many they were.
+def run(
+    pipeline: Pipeline, listener: Listener, sweeps: Iterable[PendingSweep], adversary: Adversary | None = None
+) -> int:
+    """Put sweeps into a pipeline whose answers go to a listener, print statistics, return the number of sweeps.
 
-    An adversary forges them before.
+    An adversary forges the sweeps first.
     """
     from viewshed.pipeline import prepare_process
 
@@ -291,10 +292,10 @@ def run(pipeline: Pipeline, listener: Listener, sweeps: Iterable[Awaited], adver
     count, listener.on_accused = 0, pipeline.accuse
     try:
         with pipeline:
-            for each in sweeps:
-                if listener.failed:  # the pipeline raises why when it closes
+            for pending in sweeps:
+                if listener.failed:  # the pipeline raises the error when it closes
                     break
-                sent = each if adversary is None else each._replace(sweep=adversary.sweep(each.sweep))
+                sent = pending if adversary is None else pending._replace(sweep=adversary.sweep(pending.sweep))
                 listener.expect(count, sent)
                 pipeline.put(sent.sweep, sent.agent)
                 count += 1
@@ -306,6 +307,6 @@ def run(pipeline: Pipeline, listener: Listener, sweeps: Iterable[Awaited], adver
 
 
 def note_unmet(adversary: Adversary | None) -> None:
-    """Say which agents were to be attacked and never came."""
+    """Note the agents of ``--attacked`` from which no sweep came."""
     if adversary is not None and adversary.unmet():
         note(f"--attacked {', '.join(sorted(adversary.unmet()))}: no agent has this name, nothing of it was forged")

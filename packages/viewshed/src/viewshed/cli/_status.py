@@ -1,4 +1,4 @@
-"""A line on a terminal while a command prints nothing: that it is at work, and for how long."""
+"""Status line on a terminal while a command prints nothing: that it is at work, and for how long."""
 
 from __future__ import annotations
 
@@ -11,30 +11,30 @@ from dataclasses import dataclass, field
 from typing import Any, TextIO, cast
 
 QUIET_S = 1.0
-"""A terminal that was silent for this time gets a line."""
+"""The line appears after this time without output."""
 
 _PERIOD_S = 0.2
 
 _COMPILED = frozenset(
     {"attack", "corrupt", "crossval", "evaluate", "label", "quantize", "record", "simulate", "study", "train"}
 )
-"""Commands of the laboratory, whose loops are compiled when they first run."""
+"""Commands of viewshed-lab whose loops are compiled on first use."""
 
 _ERASED = "\r\x1b[K"
 
 
 @dataclass(slots=True)
 class _Line:
-    """The line, and when something else was last printed."""
+    """The status line, and when other output was last printed."""
 
-    terminal: TextIO  # where it is shown
-    text: str  # what it says
+    terminal: TextIO
+    text: str
     begun_s: float = field(default_factory=time.monotonic)  # when the command began
-    printed_s: float = field(default_factory=time.monotonic)  # when something was last printed
-    is_shown: bool = False  # whether it stands on the terminal
+    printed_s: float = field(default_factory=time.monotonic)  # when other output was last printed
+    is_shown: bool = False  # whether it is on the terminal
 
     def erase(self) -> None:
-        """Make room for what is printed now."""
+        """Erase the line before other output."""
         if self.is_shown:
             self.is_shown = False
             self.terminal.write(_ERASED)
@@ -42,7 +42,7 @@ class _Line:
         self.printed_s = time.monotonic()
 
     def update(self) -> None:
-        """Show the line where the terminal has been silent."""
+        """Show the line if nothing was printed for ``QUIET_S``."""
         now_s = time.monotonic()
         if now_s - self.printed_s >= QUIET_S:
             self.is_shown = True
@@ -50,14 +50,14 @@ class _Line:
             self.terminal.flush()
 
 
-class _Watched:
-    """A stream that erases the line before it is written to; all else is the stream's own."""
+class _ErasingStream:
+    """Wraps a stream: erases the status line before each write."""
 
     def __init__(self, stream: TextIO, line: _Line) -> None:
         self._stream, self._line = stream, line
 
     def write(self, text: str) -> int:
-        """Write after the line is erased."""
+        """Erase the line, then write."""
         self._line.erase()
         return self._stream.write(text)
 
@@ -67,10 +67,7 @@ class _Watched:
 
 @contextmanager
 def status_line(command: str) -> Iterator[None]:
-    """Show on a terminal that a command is at work, whenever it has printed nothing for a second.
-
-    Nothing is shown where standard error is no terminal.
-    """
+    """Show that a command is at work whenever it has printed nothing for a second; only if stderr is a terminal."""
     if not sys.stderr.isatty():
         yield
         return
@@ -81,8 +78,8 @@ def status_line(command: str) -> Iterator[None]:
         while not ended.wait(_PERIOD_S):
             line.update()
 
-    # Both streams may be the terminal: each erases the line before it prints.
-    out, err = (cast(TextIO, _Watched(stream, line)) for stream in (sys.stdout, sys.stderr))
+    # Both streams may be the terminal, so both erase the line before they write.
+    out, err = (cast(TextIO, _ErasingStream(stream, line)) for stream in (sys.stdout, sys.stderr))
     watcher = threading.Thread(target=watch, name="status line", daemon=True)
     watcher.start()
     try:

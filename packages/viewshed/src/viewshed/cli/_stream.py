@@ -1,4 +1,4 @@
-"""Sweeps one after the other, with their names, for ``estimate``, ``view`` and ``replay``."""
+"""Streams of named sweeps for ``estimate``, ``view`` and ``replay``."""
 
 from __future__ import annotations
 
@@ -24,19 +24,19 @@ if TYPE_CHECKING:
 def named_sweeps(
     reading: Reading, jobs: list[Job], names: list[str], failures: Failures, *, history: int = 0
 ) -> Iterator[Named]:
-    """Yield every sweep that can be read, with its name and its pose; what cannot is reported.
+    """Yield every readable sweep with its name and pose; report files that cannot be read.
 
-    Where earlier sweeps are wanted as a ``history``, one without a pose or a time is reported as well.
+    With a ``history`` of earlier sweeps, a sweep without a pose or a time is reported as well.
     """
     taken = {name.casefold() for name in names}
     files = with_bar(placed_sweeps(reading, jobs), len(jobs))
     for (file, sweeps), name in zip(files, names, strict=True):
         try:
-            for sweep, own in _named(sweeps, name, taken):
+            for sweep, sweep_name in _named(sweeps, name, taken):
                 if history and (sweep.world_from_sensor is None or sweep.t_ns is None):
                     failures.report(file, ValueError(_NO_HISTORY))
                 else:
-                    yield Named(sweep, own, file)
+                    yield Named(sweep, sweep_name, file)
         except BAD_INPUTS as error:
             failures.report(file, error)
 
@@ -48,7 +48,7 @@ _NO_HISTORY = (
 
 
 def placed_sweeps(reading: Reading, jobs: list[Job]) -> Iterator[tuple[Path, Iterator[Sweep]]]:
-    """Yield each file with its sweeps, which have the poses that an option names; say what was assumed of these."""
+    """Yield each file with its sweeps, with the poses of ``--poses``; note what was assumed about them."""
     files, poses = [file for file, _ in jobs], None
     if reading.poses is not None:
         from viewshed.recordings.read.pose_files import PoseFile
@@ -67,24 +67,21 @@ def placed_sweeps(reading: Reading, jobs: list[Job]) -> Iterator[tuple[Path, Ite
 
 
 def one_sweep(reading: Reading, file: Path, index: Path | None = None, number: int = 0) -> Sweep:
-    """Return one sweep of a file, folder or recording, with what an index and poses say of it."""
-    seen = 0
+    """Return one sweep of a file, folder or recording, with the data of an index and poses."""
+    count = 0
     jobs = list(chosen_files([file], index))
     for sweep in (sweep for _, sweeps in placed_sweeps(reading, jobs) for sweep in sweeps):
-        if seen > number:
+        if count > number:
             note(f"{file} holds more sweeps; taken is number {number} from 0; --number takes another")
             break
-        taken, seen = sweep, seen + 1
-    if seen <= number:
-        raise ValueError(f"number must be below {seen}, the sweeps of {file}, got {number}")
-    return taken
+        chosen, count = sweep, count + 1
+    if count <= number:
+        raise ValueError(f"number must be below {count}, the sweeps of {file}, got {number}")
+    return chosen
 
 
 def _named(sweeps: Iterator[Sweep], name: str, taken: set[str]) -> Iterator[tuple[Sweep, str]]:
-    """Yield each sweep with the name of its results: the file's, or numbered ones where it holds several.
-
-    Where several agents or topics measured, their names are in it.
-    """
+    """Yield each sweep with the name of its results: the file's, with agent and number if it has several sweeps."""
     first = next(sweeps)
     try:
         second = next(sweeps, None)
@@ -100,7 +97,7 @@ def _named(sweeps: Iterator[Sweep], name: str, taken: set[str]) -> Iterator[tupl
 
 
 def history_buffer(estimator: Estimator, sweeps: int) -> SweepBuffer | None:
-    """Return what keeps this number of earlier sweeps for an estimator, or None for none."""
+    """Return a buffer of this many earlier sweeps for an estimator, or None for 0."""
     from viewshed.estimators.temporal import SweepBuffer
 
     if sweeps and not estimator.uses_history:

@@ -1,20 +1,20 @@
-"""What commands say on standard error, and which errors are the input's."""
+"""Messages of commands on standard error, and the errors caused by bad input."""
 
 from __future__ import annotations
 
 import typer
 
 BAD_INPUTS = (ValueError, OSError, ImportError, MemoryError)
-"""What the library raises for input that it cannot use; anything else is a fault of ours and may trace."""
+"""Errors that the library raises for bad input; any other error is a bug and may show a traceback."""
 
 
 def complain(line: str) -> None:
-    """Print a line about what is wrong on standard error."""
+    """Print a problem as one line on standard error."""
     typer.echo(f"viewshed: {line}", err=True)
 
 
 def note(line: str) -> None:
-    """Print a line on standard error about what was assumed or left out; nothing is wrong."""
+    """Print a note on standard error about an assumption or omission that is no problem."""
     typer.echo(f"viewshed: note: {line}", err=True)
 
 

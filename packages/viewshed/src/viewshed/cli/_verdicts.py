@@ -1,4 +1,4 @@
-"""The monitor that a command was given, and what it says of sweeps in lines."""
+"""The monitor of a command's options, and its reports as lines of text."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def stream_monitor(file: Path | None, per_hour: float | None = None) -> StreamMonitor:
-    """Return what watches a stream: the calibration in a file of ``viewshed monitor calibrate``, or the shipped one."""
+    """Return a monitor with the calibration in a file of ``viewshed monitor calibrate``, or with the shipped one."""
     from viewshed.monitor import StreamMonitor
     from viewshed.monitor.stream_monitor import PER_HOUR
 
@@ -23,21 +23,21 @@ def stream_monitor(file: Path | None, per_hour: float | None = None) -> StreamMo
     return StreamMonitor(per_hour=PER_HOUR if per_hour is None else per_hour)
 
 
-def watching(wanted: bool, file: Path | None) -> StreamMonitor | None:
-    """Return the :func:`stream_monitor` of ``--monitor`` and ``--monitor-file``; None where neither was given."""
-    return stream_monitor(file) if wanted or file is not None else None
+def optional_monitor(is_requested: bool, file: Path | None) -> StreamMonitor | None:
+    """Return the :func:`stream_monitor` of ``--monitor`` and ``--monitor-file``; None if neither is given."""
+    return stream_monitor(file) if is_requested or file is not None else None
 
 
 def stream_verdicts(report: StreamReport) -> str:
-    """Return what a monitor says of a sweep and of its stream so far, in a line: see :func:`verdicts`."""
+    """Return a report on a sweep and its stream as one line; see :func:`verdicts`."""
     lasting = f"; ALARM for {report.doubtful_sweeps} sweeps" if report.alarm and report.doubtful_sweeps > 1 else ""
     return f"{verdicts(report.now)}{lasting}{''.join(f'; {note}' for note in report.notes)}"
 
 
 def verdicts(report: IntegrityReport) -> str:
-    """Return what a monitor says of a sweep in a line: verdicts, p-value, suspect azimuths, and the first reason.
+    """Return a report as one line: verdicts, p-value, suspect azimuths, and the first reason.
 
-    The published detector has no p-value: score, limit and suspect area.
+    For the published detector, which has no p-value: score, limit and suspect area.
 
     >>> import numpy as np
     >>> from viewshed.monitor import IntegrityReport
@@ -50,8 +50,8 @@ def verdicts(report: IntegrityReport) -> str:
         alarm = f"ALARM, {report.suspect_m2:.0f} m² suspect" if report.alarm else "no alarm"
         return f"score {report.score:.4f}, limit {report.threshold:.4f}, {alarm}"
     p = "" if math.isnan(report.p_value) else f" (p = {report.p_value:.2g})"
-    found = ((f"INCONSISTENT{p}", report.inconsistent), ("DEGRADED", report.degraded))
-    words = " and ".join(word for word, is_so in found if is_so)
+    flags = ((f"INCONSISTENT{p}", report.inconsistent), ("DEGRADED", report.degraded))
+    words = " and ".join(word for word, is_set in flags if is_set)
     where = f" at {azimuths(report.suspect)}" if report.suspect.any() else ""
     why = f": {report.reasons[0]}" if report.reasons and words else ""
     notes = "".join(f"; {note}" for note in report.notes)
@@ -59,7 +59,7 @@ def verdicts(report: IntegrityReport) -> str:
 
 
 def azimuths(suspect: NDArray[Any]) -> str:
-    """Return which azimuths some sectors (SECTORS,) cover, in degrees counter-clockwise from ahead: the two widest.
+    """Return the two widest ranges of azimuth in a mask of sectors (SECTORS,), in degrees counter-clockwise from ahead.
 
     >>> import numpy as np
     >>> azimuths(np.isin(np.arange(72), [0, 1, 40])), azimuths(np.isin(np.arange(72), [0, 1, 30, 40, 41, 50]))

@@ -1,4 +1,4 @@
-"""``viewshed compare``: several estimators on one sweep."""
+"""``viewshed compare``: compare several estimators on one sweep."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from viewshed.cli import _options as options
-from viewshed.cli._options import AS_THEY_ARE, Device, NetworkOptions, Passes, Reading, Seed, Weights
+from viewshed.cli._options import DEFAULT_READING, Device, NetworkOptions, Passes, Reading, Seed, Weights
 from viewshed.cli._outputs import refuse_inputs, report_doubts
 from viewshed.cli._places import place_of_result
 from viewshed.cli._stream import one_sweep
@@ -27,7 +27,7 @@ def compare(
         str, typer.Option(help="Methods, separated by commas; 'all' for all but the networks.")
     ] = "shadow_map,majority_vote,first_blocker",
     grid: options.GridName = "road",
-    reading: Reading = AS_THEY_ARE,
+    reading: Reading = DEFAULT_READING,
     index: options.Index = None,
     number: options.Number = 0,
     target: options.TargetName = "car",
@@ -56,7 +56,7 @@ def compare(
     place = place_of_result(out, "compare.png")
     refuse_inputs([place], [file])
     sweep = one_sweep(reading, file, index, number)
-    leveled = level(sweep, cells)  # once, for all of them: the times are those from the leveled sweep on
+    leveled = level(sweep, cells)  # shared by all estimators and not part of their times
     report_doubts(leveled, file.name)
     results = {name: _timed(estimator, leveled) for name, estimator in estimators.items()}
     first = results[names[0]][0]
@@ -82,7 +82,7 @@ def _table(header: list[str], rows: list[list[str]]) -> str:
 def _estimators(
     names: list[str], grid: BevGrid, target: str, parameters: str, network: NetworkOptions
 ) -> dict[str, Estimator]:
-    """Return the estimators by name; of the options of a network, each takes those that it knows."""
+    """Return the estimators by name; each gets the network options that it supports."""
     from viewshed.estimators import LEARNED
 
     if network != NetworkOptions() and not set(names) & set(LEARNED):
@@ -90,12 +90,12 @@ def _estimators(
             f"--weights, --passes, --seed and --device go with {', '.join(LEARNED)}, got methods {','.join(names)}"
         )
     one_pass = NetworkOptions(network.weights, device=network.device)
-    takes = dict.fromkeys(LEARNED, one_pass) | {"mc_dropout": network}
-    return {name: takes.get(name, NetworkOptions()).estimator(name, grid, target, parameters) for name in names}
+    supported = dict.fromkeys(LEARNED, one_pass) | {"mc_dropout": network}
+    return {name: supported.get(name, NetworkOptions()).estimator(name, grid, target, parameters) for name in names}
 
 
 def _timed(estimator: Estimator, leveled: LeveledSweep) -> tuple[FovEstimate, float]:
-    """Return the estimate and the milliseconds of a second call; the first one loads compiled code."""
+    """Return estimate and milliseconds of the second call; the first one is a warm-up."""
     estimator.estimate(leveled)
     start = time.perf_counter()
     return estimator.estimate(leveled), 1e3 * (time.perf_counter() - start)

@@ -1,4 +1,4 @@
-"""``viewshed demo``: a road junction, what its sensor saw, and what it could have seen."""
+"""``viewshed demo``: estimate the field of view on a sample of a road junction, and compare it with the truth."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``viewshed estimate``: from files to fields of view."""
+"""``viewshed estimate``: estimate the fields of view of files."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import typer
 
 from viewshed.cli import _options as options
 from viewshed.cli._options import (
-    AS_THEY_ARE,
+    DEFAULT_READING,
     AbstainBelow,
     Device,
     HistorySweeps,
@@ -35,7 +35,7 @@ from viewshed.cli._outputs import (
 from viewshed.cli._places import chosen_files
 from viewshed.cli._profile import Method
 from viewshed.cli._stream import named_sweeps
-from viewshed.cli._verdicts import watching
+from viewshed.cli._verdicts import optional_monitor
 
 Files = Annotated[
     list[Path] | None,
@@ -81,7 +81,7 @@ def estimate(
     files: Files = None,
     method: Method = None,
     grid: options.GridOfWeights = None,
-    reading: Reading = AS_THEY_ARE,
+    reading: Reading = DEFAULT_READING,
     index: options.Index = None,
     crs: options.Crs = None,
     target: options.TargetOfWeights = None,
@@ -130,7 +130,7 @@ def estimate(
     estimator = network.estimator(method, None if grid is None else options.parse_grid(grid), target, parameters)
     if history:
         estimator = TemporalEstimator(estimator, SweepBuffer(history), require_confirmation)
-    watch = watching(monitor, monitor_file)
+    watch = optional_monitor(monitor, monitor_file)
     run = Run(estimator, network.threshold(threshold, estimator, parameters), out, kinds, watch, crs, dark)
     run.certify = None if certify is None else Threat.parse(certify)
     reading = replace(reading, crs=crs)
@@ -138,13 +138,13 @@ def estimate(
         crs_of(crs)
     jobs = list(chosen_files(files or [], index))
     names = output_names([file for file, _ in jobs])
-    one_name = f"{names[0]}_together"
-    written = [one_name] if together else names
-    refuse_inputs((place for name in written for place in run.places(name)), (file for file, _ in jobs))
+    joint_name = f"{names[0]}_together"
+    output = [joint_name] if together else names
+    refuse_inputs((place for name in output for place in run.places(name)), (file for file, _ in jobs))
     make_folder(out)
     failures, areas_m2, times_ms = Failures(), list[float](), list[float | None]()
     sweeps = named_sweeps(reading, jobs, names, failures, history=history)
-    for summary in run.together(sweeps, one_name) if together else run.summaries(sweeps, failures, batch):
+    for summary in run.together(sweeps, joint_name) if together else run.summaries(sweeps, failures, batch):
         areas_m2.append(summary.estimate.area_m2())
         times_ms.append(summary.elapsed_ms)
         if not quiet:

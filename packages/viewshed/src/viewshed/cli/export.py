@@ -1,4 +1,4 @@
-"""``viewshed export``: a field of view in other programs' formats."""
+"""``viewshed export``: write a field of view in formats of other programs."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Annotated
 import typer
 
 from viewshed.cli import _options as options
-from viewshed.cli._options import AS_THEY_ARE, Device, NetworkOptions, Passes, Reading, Seed, Weights
+from viewshed.cli._options import DEFAULT_READING, Device, NetworkOptions, Passes, Reading, Seed, Weights
 from viewshed.cli._outputs import refuse_inputs, report_doubts, stem_of, stem_of_result
 from viewshed.cli._places import place_of_result
 from viewshed.cli._stream import one_sweep
@@ -28,7 +28,7 @@ def export(
     sectors: Annotated[int, typer.Option(help="For cpm: number of sectors of the view.")] = 16,
     method: Annotated[str | None, typer.Option(help="Method, where FILE is a sweep; shadow_map if not given.")] = None,
     grid: options.GridOfWeights = None,
-    reading: Reading = AS_THEY_ARE,
+    reading: Reading = DEFAULT_READING,
     index: options.Index = None,
     crs: options.Crs = None,
     number: options.Number = 0,
@@ -51,7 +51,7 @@ def export(
     from viewshed.io.export.crs import crs_named
     from viewshed.preprocess.leveling import level
 
-    # The message needs a place on earth: no format of any estimate.
+    # Not in EXPORTERS, because the message needs a position on earth.
     message = Exporter(partial(to_cpm_uper, sectors=sectors), UPER_SUFFIX, b"", STATES, has_crs=True)
     exporters = EXPORTERS | {"cpm_uper": message}
     if to not in exporters:
@@ -67,15 +67,15 @@ def export(
     elif (
         {method, grid, index, target, weights, passes, seed} != {None}
         or (number, device) != (0, "cpu")
-        or (reading != AS_THEY_ARE)
+        or (reading != DEFAULT_READING)
     ):
         raise ValueError(f"{file} is an estimate: leave out all but --to, --sectors, --crs, --out, or name its sweep")
     place = place_of_result(out, stem + exporter.suffix)
     refuse_inputs([place], [file])
-    earlier = format_of_content(place)
-    if earlier not in {"", to}:
+    existing = format_of_content(place)
+    if existing not in {"", to}:
         raise ValueError(
-            f"--out must not replace an export of another format, got {place}, which is {earlier}; choose another name"
+            f"--out must not replace an export of another format, got {place}, which is {existing}; choose another name"
             f" for {to}, or remove it"
         )
     if estimator is None:
@@ -96,7 +96,7 @@ def export(
 
 
 def _is_estimate(file: Path) -> bool:
-    """Whether a file is an NPZ with a field of view in it; anything else is read as a sweep."""
+    """Return whether a file is an NPZ of an estimate; any other file is read as a sweep."""
     import zipfile
 
     from viewshed._files import DAMAGED

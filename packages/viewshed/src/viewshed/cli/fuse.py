@@ -1,4 +1,4 @@
-"""``viewshed fuse``: what several agents see together, and which of them contradict the others."""
+"""``viewshed fuse``: fuse the views of several agents, and detect agents that contradict the others."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from viewshed.cli import _options as options
-from viewshed.cli._options import AS_THEY_ARE, Reading
+from viewshed.cli._options import DEFAULT_READING, Reading
 from viewshed.cli._outputs import Failures, Named, make_folder, output_names, parse_results
 from viewshed.cli._places import chosen_files
 from viewshed.cli._profile import Method
@@ -34,7 +34,7 @@ def fuse(
     files: Files = None,
     method: Method = None,
     grid: options.GridName = "road",
-    reading: Reading = AS_THEY_ARE,
+    reading: Reading = DEFAULT_READING,
     index: options.Index = None,
     slop: Annotated[
         float, typer.Option(min=0.0, max=1.0, help="Most seconds between sweeps that count as of the same time.")
@@ -65,7 +65,7 @@ def fuse(
     jobs = list(chosen_files(files or [], index))
     names = output_names([file for file, _ in jobs])
     make_folder(out)
-    failures, gathered = Failures(), Rounds()
+    failures, center = Failures(), Rounds()
     done, pictures = list[Round](), list[bytes]()
     streams = [named_sweeps(reading, [job], [name], failures) for job, name in zip(jobs, names, strict=True)]
     for t_s, sweeps in rounds(streams, slop, failures):
@@ -73,19 +73,19 @@ def fuse(
         for sweep in sweeps:
             try:
                 reports.append(report_of(sweep, estimator, detector, std))
-            except BAD_INPUTS as error:  # one sweep costs no other
+            except BAD_INPUTS as error:  # go on with the other sweeps
                 failures.report(f"{sweep.agent}, {t_s:.2f} s", error)
-        one = gathered.together(t_s, reports)
-        for line in gathered.notes:
+        fused = center.together(t_s, reports)
+        for line in center.notes:
             note(line)
-        if one is None:
+        if fused is None:
             failures.report(f"{t_s:.2f} s", ValueError("no report of this time could be put together with others"))
             continue
-        typer.echo(line_of(one))
-        note_gaps(one, done[-1] if done else None)
-        done.append(one)
+        typer.echo(line_of(fused))
+        note_gaps(fused, done[-1] if done else None)
+        done.append(fused)
         if {"png", "html"} & set(kinds):
-            pictures.append(fused_picture(one))
+            pictures.append(fused_picture(fused))
         if "png" in kinds:
             write_atomic(out / f"fused_{len(done) - 1:04}.png", pictures[-1])
     if "jsonl" in kinds and done:
@@ -101,7 +101,7 @@ def fuse(
 
 
 def rounds(streams: list[Iterator[Named]], slop: float, failures: Failures) -> Iterator[tuple[float, list[Sweep]]]:
-    """Yield sweeps of about the same time, one of each agent; what has no time or pose is reported."""
+    """Yield groups of sweeps of about the same time, at most one per agent; report sweeps without time or pose."""
     posed = (_with_times(stream, number, failures) for number, stream in enumerate(streams))
     together: dict[str, Sweep] = {}
     began_ns = 0
@@ -127,7 +127,7 @@ def _with_times(stream: Iterator[Named], number: int, failures: Failures) -> Ite
 
 
 def parse_pose_std(words: str | None) -> PoseStd | None:
-    """Return the standard deviations in METERS,DEGREES; None where they are not given."""
+    """Parse standard deviations METERS,DEGREES; None stays None."""
     from math import degrees, radians
 
     from viewshed.agents.registration import MOST_M, MOST_TURN, PoseStd
@@ -145,7 +145,7 @@ def parse_pose_std(words: str | None) -> PoseStd | None:
 
 
 def report_of(sweep: Sweep, estimator: Estimator, detector: Detector, pose_std: PoseStd | None = None) -> AgentReport:
-    """Return what the agent of a sweep reports; its pose is as certain as the sweep states if no deviation is given."""
+    """Return the report of a sweep's agent; ``pose_std`` None is the deviation that the sweep states."""
     from dataclasses import replace
 
     from viewshed.agents.registration import PoseStd
@@ -158,7 +158,7 @@ def report_of(sweep: Sweep, estimator: Estimator, detector: Detector, pose_std: 
 
 
 def note_gaps(done: Round, before: Round | None) -> None:
-    """Say why nobody can contradict an agent, where that was not so in the round before."""
+    """Note why nobody can contradict an agent, unless the last round had the same gap."""
     known = [] if before is None else before.gaps()
     for line in done.gaps():
         if line not in known:
@@ -166,7 +166,7 @@ def note_gaps(done: Round, before: Round | None) -> None:
 
 
 def line_of(done: Round) -> str:
-    """Return a round in a line: objects, who is accused of lies and why, and who is disputed."""
+    """Return one line about a round: objects, accused agents with reasons, and disputed agents."""
     picture = done.picture
     accused = [f"{agent} ({why})" for agent, why in done.reasons().items()]
     disputed = [agent for agent, flag in zip(picture.agents, done.disputed, strict=True) if flag]

@@ -1,4 +1,4 @@
-"""``viewshed info``: what a file holds."""
+"""``viewshed info``: print the content and properties of a file."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from viewshed.cli import _options as options
-from viewshed.cli._options import AS_THEY_ARE, Reading
+from viewshed.cli._options import DEFAULT_READING, Reading
 from viewshed.cli._stream import one_sweep
 from viewshed.cli._terminal import complain
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 def info(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="A sweep, in any known format.")],
     grid: options.GridName = "road",
-    reading: Reading = AS_THEY_ARE,
+    reading: Reading = DEFAULT_READING,
     index: options.Index = None,
     number: options.Number = 0,
 ) -> None:

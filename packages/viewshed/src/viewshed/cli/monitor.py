@@ -1,4 +1,4 @@
-"""``viewshed monitor``: is this sweep inconsistent or degraded, where and why; and how often is that wrong."""
+"""``viewshed monitor``: calibrate monitors, and check sweeps: inconsistent or degraded, where and why."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 
 HZ = 10.0
-"""Sweeps a second of drives without times."""
+"""Assumed rate of drives without times."""
 
 monitor_app = typer.Typer(help="Say whether a sweep is inconsistent or degraded, where and why.")
 
@@ -76,12 +76,12 @@ def fit(
     count = sum(1 for _ in sweeps)
     alarms_allowed(count - count // 2, false_alarm_rate, unit="sweeps")
     estimates = (estimator.estimate(sweep) for _, _, sweep in with_bar(sweeps, count))
-    made = DeviationMonitor.fit(islice(estimates, count // 2), rule).calibrated(estimates, false_alarm_rate)
+    fitted = DeviationMonitor.fit(islice(estimates, count // 2), rule).calibrated(estimates, false_alarm_rate)
     facts = {"network": _identity(estimator), "target": target, "passes": str(passes or PASSES), "seed": str(seed or 0)}
-    save_monitor(replace(made, facts=facts), out)
+    save_monitor(replace(fitted, facts=facts), out)
     typer.echo(
-        f"{out}: fitted on {made.sweeps[0]} sweeps, calibrated on {made.sweeps[1]}; alarms above a score of "
-        f"{made.limit:.4f}, for at most {false_alarm_rate:.1%} false alarms"
+        f"{out}: fitted on {fitted.sweeps[0]} sweeps, calibrated on {fitted.sweeps[1]}; alarms above a score of "
+        f"{fitted.limit:.4f}, for at most {false_alarm_rate:.1%} false alarms"
     )
 
 
@@ -119,15 +119,15 @@ def calibrate(
     drives = _measured(
         _Source(tuple(sources), split, sensor, topic, poses, failures), options.parse_grid(grid), failures
     )
-    made = Calibration.fit(drives.streams, drives.hz, base=base)
-    wanted = max(made.least_per_hour, 1.0) if per_hour is None else per_hour
-    limit = made.limit(wanted)
-    save_calibration(replace(made, facts={**made.facts, "per_hour": repr(wanted)}), out)
+    fitted = Calibration.fit(drives.streams, drives.hz, base=base)
+    rate = max(fitted.least_per_hour, 1.0) if per_hour is None else per_hour
+    limit = fitted.limit(rate)
+    save_calibration(replace(fitted, facts={**fitted.facts, "per_hour": repr(rate)}), out)
     sweeps = sum(map(len, drives.streams))
     typer.echo(f"{out}: calibrated on {sweeps} sweeps of {len(drives.streams)} drives")
-    typer.echo(f"  {made.promise(wanted)}")
-    typer.echo(f"  {int((made.peaks > limit).sum())} alarms in these drives at this limit")
-    for line in _odd_sweeps(drives, made, base, wanted):
+    typer.echo(f"  {fitted.promise(rate)}")
+    typer.echo(f"  {int((fitted.peaks > limit).sum())} alarms in these drives at this limit")
+    for line in _suspicious_sweeps(drives, fitted, base, rate):
         typer.echo(f"  {line}")
     if failures.count:
         raise typer.Exit(2)
@@ -159,7 +159,7 @@ def check(
     """
     if out is not None:
         make_folder(out)
-    run = _watching(monitor_file, options.parse_grid(grid), weights, out, per_hour)
+    run = _run_of(monitor_file, options.parse_grid(grid), weights, out, per_hour)
     for source in sources:
         try:
             for seen in _Source((source,), split, sensor, topic, poses, run.failures):
@@ -207,8 +207,8 @@ def explain(
     raise ValueError(f"number must be below the sweeps of {source}, got {number}")
 
 
-class Seen(NamedTuple):
-    """A sweep with the file or scene that it is of and its own name."""
+class SceneSweep(NamedTuple):
+    """A sweep with its file or scene and its own name."""
 
     scene: str
     name: str
@@ -217,9 +217,9 @@ class Seen(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class _Source:
-    """Sweeps that can be gone through more than once, in their order.
+    """The sweeps of the arguments, which can be iterated more than once.
 
-    A file that cannot be read is reported to ``failures``, or an error where there are none.
+    A file that cannot be read is reported to ``failures``; without ``failures`` the error is raised.
     """
 
     places: tuple[str, ...]
@@ -229,7 +229,7 @@ class _Source:
     poses: Path | None = None
     failures: Failures | None = None
 
-    def __iter__(self) -> Iterator[Seen]:
+    def __iter__(self) -> Iterator[SceneSweep]:
         from viewshed.recordings.recording import is_data_set
 
         for place in self.places:
@@ -240,23 +240,23 @@ class _Source:
             else:
                 yield from self._read(place)
 
-    def _archived(self, place: str) -> Iterator[Seen]:
+    def _archived(self, place: str) -> Iterator[SceneSweep]:
         from viewshed.recordings.recording import data_sets
 
         for number, (scene, sweep) in enumerate(data_sets(place).sweeps(place, self.split)):
-            yield Seen(f"{place} {scene}", f"{scene} {number:05}", sweep)
+            yield SceneSweep(f"{place} {scene}", f"{scene} {number:05}", sweep)
 
-    def _read(self, place: str) -> Iterator[Seen]:
+    def _read(self, place: str) -> Iterator[SceneSweep]:
         reading = Reading(self.sensor, topic=self.topic, poses=self.poses)
         jobs = list(chosen_files([Path(place)], None))
         for path, sweeps in placed_sweeps(reading, jobs):
-            several = path.is_dir()
+            is_folder = path.is_dir()
             try:
                 for number, sweep in enumerate(sweeps):
-                    name = f"{path.name} {number:05}" if several or number else path.name
-                    # Files of a sweep each are one stream if their times say so.
-                    is_stream = self.poses is not None or (not several and sweep.t_ns is not None)
-                    yield Seen(place if is_stream else str(path), name, sweep)
+                    name = f"{path.name} {number:05}" if is_folder or number else path.name
+                    # Files with one sweep each are one stream if they have times.
+                    is_stream = self.poses is not None or (not is_folder and sweep.t_ns is not None)
+                    yield SceneSweep(place if is_stream else str(path), name, sweep)
             except BAD_INPUTS as error:
                 if self.failures is None:
                     raise
@@ -268,15 +268,15 @@ NO_TIMES = (
 )
 
 LISTED = 6
-"""Odd sweeps that are listed by name."""
+"""Maximum number of suspicious sweeps listed by name."""
 
-CLEARLY = 1.0
-"""Scores by which a limit is clearly higher than another: about ten times fewer benign sweeps."""
+LIMIT_MARGIN = 1.0
+"""A limit is clearly higher than the base's by this score: about ten times fewer benign sweeps exceed it."""
 
 
 @dataclass(slots=True)
 class _Drive:
-    """What is measured of one drive of one sensor."""
+    """Evidence of one drive of one sensor, while it is measured."""
 
     stream: EvidenceStream
     sensor: SensorId
@@ -287,12 +287,12 @@ class _Drive:
 
 @dataclass(frozen=True, slots=True)
 class _Drives:
-    """The evidence of drives, as a stream measures it."""
+    """The evidence of all drives."""
 
     streams: list[F32]  # (T, E, SECTORS) of each drive
-    names: list[list[str]]  # of their sweeps
+    names: list[list[str]]  # names of their sweeps
     hz: float  # sweeps a second
-    impossible: list[str]  # names of the sweeps that are left out
+    impossible: list[str]  # names of impossible sweeps, which are left out
 
 
 def _measured(sources: _Source, grid: BevGrid, failures: Failures) -> _Drives:
@@ -307,7 +307,7 @@ def _measured(sources: _Source, grid: BevGrid, failures: Failures) -> _Drives:
     drives: list[_Drive] = []
     impossible: list[str] = []
     gaps_ns: list[int] = []
-    # The drive of each agent and named sensor of a scene.
+    # Current drive of each agent and named sensor of the scene.
     current: dict[tuple[str, str], _Drive] = {}
     scene, alone = "", 0
     for seen in sources:
@@ -339,37 +339,38 @@ def _measured(sources: _Source, grid: BevGrid, failures: Failures) -> _Drives:
     return _Drives([np.stack(drive.evidence) for drive in drives], [drive.names for drive in drives], hz, impossible)
 
 
-def _odd_sweeps(drives: _Drives, made: Calibration, base: Calibration, per_hour: float) -> Iterator[str]:
-    """Yield what in drives may be attacked, a line each: impossible sweeps, and alarms of the base."""
+def _suspicious_sweeps(drives: _Drives, fitted: Calibration, base: Calibration, per_hour: float) -> Iterator[str]:
+    """Yield lines about sweeps that may have been attacked: impossible sweeps, and alarms of the base."""
     if drives.impossible:
         yield f"left out as impossible: {_listed(drives.impossible)}"
-    usual = base.limit(per_hour, extrapolate=True)
-    raised = made.limit(per_hour) > usual + CLEARLY
-    if not raised and "left_out" not in made.facts:
+    base_limit = base.limit(per_hour, extrapolate=True)
+    is_raised = fitted.limit(per_hour) > base_limit + LIMIT_MARGIN
+    if not is_raised and "left_out" not in fitted.facts:
         return
     from viewshed.monitor.calibration import scores_of
 
     limit = base.limit(1.0, extrapolate=True)
-    called = [
+    alarms = [
         name
         for stream, names in zip(drives.streams, drives.names, strict=True)
         for name, score in zip(names, scores_of(stream, base, limit), strict=True)
         if score > limit
     ]
-    what = f"the base monitor calls {len(called)} sweeps at one alarm an hour{': ' * bool(called)}{_listed(called)}"
-    if "left_out" in made.facts:
+    what = f"the base monitor calls {len(alarms)} sweeps at one alarm an hour{': ' * bool(alarms)}{_listed(alarms)}"
+    if "left_out" in fitted.facts:
         yield f"left out as attacked, for the other sweeps do not explain them; {what}"
     else:
-        yield f"the limit is {made.limit(per_hour):.2f}, the base's {usual:.2f}: attacked, or another sensor; {what}"
+        limits = f"the limit is {fitted.limit(per_hour):.2f}, the base's {base_limit:.2f}"
+        yield f"{limits}: attacked, or another sensor; {what}"
 
 
 def _listed(names: list[str]) -> str:
-    """Return names in a line, the first of them where they are many."""
+    """Return names as text, at most ``LISTED`` of them."""
     return ", ".join(names[:LISTED]) + (f" and {len(names) - LISTED} more" if len(names) > LISTED else "")
 
 
-def _watching(file: Path | None, grid: BevGrid, weights: str | None, out: Path | None, per_hour: float | None) -> _Run:
-    """Return the monitor in a file at work, whichever kind it is; None is the shipped one."""
+def _run_of(file: Path | None, grid: BevGrid, weights: str | None, out: Path | None, per_hour: float | None) -> _Run:
+    """Return the run of the monitor in a file, of either kind; None is the shipped one."""
     from viewshed.monitor.calibration import kind_of_monitor
     from viewshed.monitor.deviation import NAME, load_monitor
 
@@ -388,7 +389,7 @@ def _watching(file: Path | None, grid: BevGrid, weights: str | None, out: Path |
 
 @dataclass(slots=True)
 class _Run(ABC):
-    """A monitor at work, of either kind."""
+    """Checks sweeps with a monitor of either kind, and counts alarms."""
 
     out: Path | None
     checked: int = field(default=0, init=False)
@@ -396,10 +397,10 @@ class _Run(ABC):
     failures: Failures = field(default_factory=Failures, init=False)
     taken: set[str] = field(default_factory=set, init=False)
 
-    def one(self, seen: Seen) -> None:
-        """Say what the monitor finds in a sweep."""
+    def one(self, seen: SceneSweep) -> None:
+        """Check a sweep, print its line, and write its picture if there is an output folder."""
         try:
-            line, write, count = self._look(seen)
+            line, write, count = self._check_one(seen)
             if self.out is not None:
                 place = self.out / f"{free_name(stem_of(seen.name).replace('/', '_'), self.taken)}.png"
                 write(place)
@@ -412,17 +413,17 @@ class _Run(ABC):
             count()
 
     @abstractmethod
-    def _look(self, seen: Seen) -> tuple[str, Callable[[Path], None], Callable[[], None]]:
-        """Return what is found in a sweep in a line, what writes its picture, and what counts it."""
+    def _check_one(self, seen: SceneSweep) -> tuple[str, Callable[[Path], None], Callable[[], None]]:
+        """Check a sweep; return its line, a function that writes its picture, and one that counts it."""
 
     @abstractmethod
     def summary(self) -> str:
-        """Return how many sweeps were checked and what was found, in a line."""
+        """Return one line with the numbers of checked sweeps and findings."""
 
 
 @dataclass(slots=True)
 class SweepRun(_Run):
-    """The monitor of all evidence at work."""
+    """Checks sweeps with the stream monitor."""
 
     monitor: StreamMonitor
     grid: BevGrid
@@ -433,8 +434,8 @@ class SweepRun(_Run):
     estimator: Estimator | None = None
     alone: int = 0
 
-    def check(self, seen: Seen) -> tuple[LeveledSweep, StreamReport]:
-        """Return the next sweep, leveled, and what the monitor says of it; each file or scene begins anew."""
+    def check(self, seen: SceneSweep) -> tuple[LeveledSweep, StreamReport]:
+        """Return the next sweep, leveled, and the report on it; each file or scene is a new stream."""
         from viewshed.preprocess.leveling import level
         from viewshed.preprocess.sensor_identification import UNIDENTIFIED
 
@@ -448,7 +449,7 @@ class SweepRun(_Run):
         self.sensor = leveled.sensor_id
         return leveled, self.monitor.check(leveled)
 
-    def _look(self, seen: Seen) -> tuple[str, Callable[[Path], None], Callable[[], None]]:
+    def _check_one(self, seen: SceneSweep) -> tuple[str, Callable[[Path], None], Callable[[], None]]:
         from viewshed._files import write_atomic
 
         leveled, report = self.check(seen)
@@ -462,12 +463,12 @@ class SweepRun(_Run):
         return line, lambda place: write_atomic(place, self.picture(leveled, report.now, line)), count
 
     def summary(self) -> str:
-        """Return how many sweeps were checked and what was found, in a line."""
+        """Return one line with the numbers of checked sweeps and findings."""
         alarms = f", {self.alarms} alarms" if self.alarms else ""
         return f"{self.checked} sweeps, {self.inconsistent} inconsistent, {self.degraded} degraded{alarms}"
 
     def picture(self, leveled: LeveledSweep, report: IntegrityReport, line: str) -> bytes:
-        """Return the PNG of a report: suspect sectors on the map of the default estimate, and the evidence scored."""
+        """Return a PNG of a report: suspect sectors on the map of the default estimate, and the surprises."""
         from viewshed.estimators import load_estimator
         from viewshed.grid import BevGrid
         from viewshed.show.plot import Panel, monitor_picture
@@ -480,23 +481,23 @@ class SweepRun(_Run):
 
 @dataclass(slots=True)
 class _DeviationRun(_Run):
-    """The published detector at work, with the network that it was fitted on."""
+    """Checks sweeps with the published detector and the network that it was fitted on."""
 
     monitor: DeviationMonitor
     estimator: UnetEstimator
 
-    def _look(self, seen: Seen) -> tuple[str, Callable[[Path], None], Callable[[], None]]:
+    def _check_one(self, seen: SceneSweep) -> tuple[str, Callable[[Path], None], Callable[[], None]]:
         from viewshed._files import write_atomic
         from viewshed.monitor.report import suspects_geojson
         from viewshed.preprocess.leveling import level
         from viewshed.show.plot import Panel, maps_picture
 
-        found = self.estimator.estimate(seen.sweep)
-        report = self.monitor.check(found)
+        estimate = self.estimator.estimate(seen.sweep)
+        report = self.monitor.check(estimate)
         line = f"{seen.name}: {verdicts(report)}"
 
         def write(place: Path) -> None:
-            panel = Panel(found, line, level(seen.sweep, self.estimator.grid), self.estimator.card.threshold)
+            panel = Panel(estimate, line, level(seen.sweep, self.estimator.grid), self.estimator.card.threshold)
             write_atomic(place, maps_picture(panel))
             write_atomic(place.with_suffix(".geojson"), suspects_geojson(report))
 
@@ -506,7 +507,7 @@ class _DeviationRun(_Run):
         return line, write, count
 
     def summary(self) -> str:
-        """Return how many sweeps were checked and how many alarmed, in a line."""
+        """Return one line with the numbers of checked sweeps and alarms."""
         return f"{self.checked} sweeps, {self.alarms} alarms"
 
 
@@ -530,6 +531,6 @@ def estimator_of(monitor: DeviationMonitor, weights: str | None) -> UnetEstimato
 
 
 def _identity(estimator: UnetEstimator) -> str:
-    """Return name and fingerprint of an estimator's network: its card tells how it was trained."""
+    """Return name and fingerprint of an estimator's network, a hash of its card."""
     digest = hashlib.sha256(estimator.card.to_json().encode()).hexdigest()
     return f"{estimator.card.name} {digest[:12]}"

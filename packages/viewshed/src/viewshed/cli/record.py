@@ -10,20 +10,20 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from viewshed._extras import plugin
-from viewshed.cli._options import AS_THEY_ARE, NOT_FOLLOWED, Following, Reading
+from viewshed.cli._options import DEFAULT_READING, NO_OBJECTS, ObjectOptions, Reading
 from viewshed.cli._outputs import Failures, output_names
 from viewshed.cli._places import chosen_files
-from viewshed.cli._profile import AS_USUAL, PipelineOptions, at_rate
-from viewshed.cli._record import Awaited, SchemaNames, run_recorded
+from viewshed.cli._profile import DEFAULT_PIPELINE, PipelineOptions, at_rate
+from viewshed.cli._record import PendingSweep, SchemaNames, run_recorded
 from viewshed.cli._stream import named_sweeps
-from viewshed.cli.replay import USUAL_PERIOD_S
+from viewshed.cli.replay import DEFAULT_PERIOD_S
 
 if TYPE_CHECKING:
     from viewshed.recordings.write.moment import DriveTruth
     from viewshed.sweep import Sweep
 
 SIMULATED = "sim"
-"""In place of files: a simulated drive."""
+"""Argument that selects a simulated drive instead of files."""
 
 
 def record(
@@ -33,9 +33,9 @@ def record(
     ],
     to: Annotated[Path, typer.Option("--to", help="Bag to write: NAME.mcap, NAME.bag (ROS 1), or a folder (ROS 2).")],
     schemas: SchemaNames = "ros",
-    reading: Reading = AS_THEY_ARE,
-    running: PipelineOptions = AS_USUAL,
-    following: Following = NOT_FOLLOWED,
+    reading: Reading = DEFAULT_READING,
+    running: PipelineOptions = DEFAULT_PIPELINE,
+    object_options: ObjectOptions = NO_OBJECTS,
     sweeps: Annotated[int | None, typer.Option("--sweeps", min=1, help="End after this number of sweeps.")] = None,
     preset: Annotated[
         str, typer.Option(help="For sim: preset of sensors and heights: drives, nuscenes, ugv, …")
@@ -58,9 +58,9 @@ def record(
     Example: viewshed record sim --world junction --agents 3 --seconds 5 --to drive.mcap
     """
     is_simulated = [str(file) for file in files] == [SIMULATED]
-    if is_simulated and reading != AS_THEY_ARE:
+    if is_simulated and reading != DEFAULT_READING:
         raise ValueError("sim reads no file: leave out --topic, --poses and all that says how files are read")
-    chosen, failures = running.settings(ctx), Failures()
+    settings, failures = running.settings(ctx), Failures()
     stream: Iterator[tuple[Sweep, DriveTruth | None]]
     if is_simulated:
         drive = plugin("drives", "simulated", "viewshed record sim")
@@ -68,19 +68,19 @@ def record(
     else:
         jobs = list(chosen_files(files, None))
         names = output_names([file for file, _ in jobs])
-        named = at_rate(named_sweeps(reading, jobs, names, failures, history=running.history), chosen.rate_hz)
-        stream = ((each.sweep, None) for each in named)
+        named = at_rate(named_sweeps(reading, jobs, names, failures, history=running.history), settings.rate_hz)
+        stream = ((one.sweep, None) for one in named)
     inputs = [] if is_simulated else files
     run_recorded(
-        running, chosen, _timed(islice(stream, sweeps)), following, failures, to=to, schemas=schemas, inputs=inputs,
-        is_live=False,
+        running, settings, _timed(islice(stream, sweeps)), object_options, failures, to=to, schemas=schemas,
+        inputs=inputs, is_live=False,
     )  # fmt: skip
 
 
-def _timed(stream: Iterable[tuple[Sweep, DriveTruth | None]]) -> Iterator[Awaited]:
-    """Yield sweeps with their times since the first; those without a time come a tenth of a second apart."""
+def _timed(stream: Iterable[tuple[Sweep, DriveTruth | None]]) -> Iterator[PendingSweep]:
+    """Yield sweeps with their time since the first; sweeps without times are 0.1 s apart."""
     begin_ns = 0
     for count, (sweep, truth) in enumerate(stream):
         begin_ns = sweep.t_ns or 0 if count == 0 else begin_ns
-        due_s = count * USUAL_PERIOD_S if sweep.t_ns is None else (sweep.t_ns - begin_ns) / 1e9
-        yield Awaited(sweep.agent, due_s, sweep, truth)
+        due_s = count * DEFAULT_PERIOD_S if sweep.t_ns is None else (sweep.t_ns - begin_ns) / 1e9
+        yield PendingSweep(sweep.agent, due_s, sweep, truth)

@@ -9,30 +9,30 @@ from typing import Annotated
 
 import typer
 
-from viewshed.cli._options import AS_THEY_ARE, NOT_FOLLOWED, Following, Index, Reading
+from viewshed.cli._options import DEFAULT_READING, NO_OBJECTS, Index, ObjectOptions, Reading
 from viewshed.cli._outputs import Failures, Named, output_names
 from viewshed.cli._places import chosen_files
-from viewshed.cli._profile import AS_USUAL, PipelineOptions, at_rate
-from viewshed.cli._record import Awaited, SchemaNames, To, repeated, run_recorded
+from viewshed.cli._profile import DEFAULT_PIPELINE, PipelineOptions, at_rate
+from viewshed.cli._record import PendingSweep, SchemaNames, To, repeated, run_recorded
 from viewshed.cli._stream import named_sweeps
 from viewshed.cli.estimate import Files
 
-USUAL_PERIOD_S = 0.1
-"""Between two sweeps whose times are not known or do not rise."""
+DEFAULT_PERIOD_S = 0.1
+"""Assumed time between two sweeps whose times are unknown or do not increase."""
 
-LONGEST_PERIOD_S = 2.0
-"""Longer gaps, as between the scenes of a recording, are cut to this."""
+MAX_PERIOD_S = 2.0
+"""Longer gaps, as between the scenes of a recording, are shortened to this."""
 
 
 @dataclass(slots=True)
 class Pacer:
-    """Hands sweeps on when they are due."""
+    """Yields sweeps when they are due."""
 
-    rate: float  # speed as a multiple of that of the measurement; 0 waits for none
-    time_s: float = 0.0  # of the last sweep that was handed on, since the first
+    rate: float  # speed relative to the measurement; 0 does not wait
+    time_s: float = 0.0  # time of the last yielded sweep since the first
 
     def kept(self, sweeps: Iterable[Named]) -> Iterator[Named]:
-        """Yield each sweep when it is due, at once if that is past."""
+        """Yield each sweep when it is due, at once if it is late."""
         begun, last = time.monotonic(), None
         for named in sweeps:
             now = named.sweep
@@ -53,14 +53,14 @@ def _period_s(last_ns: int | None, now_ns: int | None) -> float:
     (0.05, 0.1, 0.1, 2.0)
     """
     if last_ns is None or now_ns is None or now_ns <= last_ns:
-        return USUAL_PERIOD_S
-    return min((now_ns - last_ns) / 1e9, LONGEST_PERIOD_S)
+        return DEFAULT_PERIOD_S
+    return min((now_ns - last_ns) / 1e9, MAX_PERIOD_S)
 
 
 def replay(
     ctx: typer.Context,
     files: Files = None,
-    reading: Reading = AS_THEY_ARE,
+    reading: Reading = DEFAULT_READING,
     index: Index = None,
     rate: Annotated[float, typer.Option(min=0.01, max=1000.0, help="Pace: 1 as measured, 2 twice as fast.")] = 1.0,
     as_fast: Annotated[
@@ -69,8 +69,8 @@ def replay(
     loop: Annotated[bool, typer.Option("--loop", help="Begin again at the end, until Ctrl-C.")] = False,
     to: To = None,
     schemas: SchemaNames = "ros",
-    running: PipelineOptions = AS_USUAL,
-    following: Following = NOT_FOLLOWED,
+    running: PipelineOptions = DEFAULT_PIPELINE,
+    object_options: ObjectOptions = NO_OBJECTS,
 ) -> None:
     """Estimate the sweeps of a recording as they would come in live.
 
@@ -80,7 +80,7 @@ def replay(
 
     Example: viewshed replay drive.mcap --rate 2
     """
-    chosen, failures = running.settings(ctx), Failures()
+    settings, failures = running.settings(ctx), Failures()
     jobs = list(chosen_files(files or [], index))
     places = [file for file, _ in jobs]
     names = output_names(places)
@@ -89,8 +89,8 @@ def replay(
         return named_sweeps(reading, jobs, names, failures, history=running.history)
 
     pace = Pacer(0.0 if as_fast else rate)
-    taken = pace.kept(at_rate(repeated(read, loop=loop), chosen.rate_hz))
-    awaited = (Awaited(each.sweep.agent, pace.time_s, each.sweep) for each in taken)
+    paced = pace.kept(at_rate(repeated(read, loop=loop), settings.rate_hz))
+    pending = (PendingSweep(one.sweep.agent, pace.time_s, one.sweep) for one in paced)
     run_recorded(
-        running, chosen, awaited, following, failures, to=to, schemas=schemas, inputs=places, is_live=not as_fast
+        running, settings, pending, object_options, failures, to=to, schemas=schemas, inputs=places, is_live=not as_fast
     )

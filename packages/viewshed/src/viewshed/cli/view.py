@@ -1,4 +1,4 @@
-"""``viewshed view``: a recording's estimates to watch, as one HTML page, in Rerun or live in Foxglove."""
+"""``viewshed view``: show a recording's estimates as one HTML page, in Rerun or live in Foxglove."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ import typer
 
 from viewshed.cli import _options as options
 from viewshed.cli._options import (
-    AS_THEY_ARE,
-    NOT_FOLLOWED,
-    Following,
+    DEFAULT_READING,
+    NO_OBJECTS,
     HistorySweeps,
     MonitorFile,
     NetworkOptions,
+    ObjectOptions,
     Passes,
     Reading,
     Seed,
@@ -30,10 +30,10 @@ from viewshed.cli._options import (
 from viewshed.cli._outputs import Failures, Named, output_names, refuse_inputs, report_doubts, summary_line, warm_up
 from viewshed.cli._places import chosen_files
 from viewshed.cli._profile import Method, PipelineOptions, ProfileName, at_rate
-from viewshed.cli._record import Awaited, Center, answer, note_unmet, objects_line, repeated
+from viewshed.cli._record import Center, PendingSweep, answer, note_unmet, objects_line, repeated
 from viewshed.cli._stream import history_buffer, named_sweeps
 from viewshed.cli._terminal import BAD_INPUTS, complain, one_line
-from viewshed.cli._verdicts import stream_monitor, stream_verdicts, verdicts, watching
+from viewshed.cli._verdicts import optional_monitor, stream_monitor, stream_verdicts, verdicts
 from viewshed.cli.estimate import Files
 from viewshed.cli.monitor import estimator_of
 from viewshed.cli.replay import Pacer
@@ -50,11 +50,11 @@ if TYPE_CHECKING:
     from viewshed.show.view import Frame, PackedFrame
 
     Check = Callable[[LeveledSweep, FovEstimate], tuple[IntegrityReport, str]]
-    """What a monitor says of the next sweep and its estimate, and that in words."""
+    """Returns a monitor's report on the next sweep and its estimate, and the same as text."""
 
 Step = Annotated[int, typer.Option(min=1, help="Take every Nth sweep.")]
 
-MostSweeps = Annotated[int | None, typer.Option("--sweeps", min=1, help="End after this number of sweeps.")]
+MaxSweeps = Annotated[int | None, typer.Option("--sweeps", min=1, help="End after this number of sweeps.")]
 
 
 def view(
@@ -71,7 +71,7 @@ def view(
     profile: ProfileName = None,
     method: Method = None,
     grid: options.GridName = "road",
-    reading: Reading = AS_THEY_ARE,
+    reading: Reading = DEFAULT_READING,
     index: options.Index = None,
     target: options.TargetName = "car",
     weights: Weights = None,
@@ -81,8 +81,8 @@ def view(
     monitor_file: MonitorFile = None,
     history: HistorySweeps = 0,
     step: Step = 1,
-    sweeps: MostSweeps = None,
-    following: Following = NOT_FOLLOWED,
+    sweeps: MaxSweeps = None,
+    object_options: ObjectOptions = NO_OBJECTS,
 ) -> None:
     """Show what sweeps could see: a page, a file for Rerun, or live.
 
@@ -95,14 +95,14 @@ def view(
     """
     if [html, rerun, foxglove].count(None) + (not serve) != 3:
         raise ValueError("name one of: the page to write, --html run.html; --rerun run.rrd; --foxglove PORT; --serve")
-    of_files = (files, index, monitor, monitor_file, history, sweeps, step > 1, following != NOT_FOLLOWED)
+    of_files = (files, index, monitor, monitor_file, history, sweeps, step > 1, object_options != NO_OBJECTS)
     if serve and any(of_files):
         alone = "FILES, --index, --monitor, --history, --sweeps, --step, --objects, --fuse and --attack"
         raise ValueError(f"--serve takes one file after the other on its page: leave out {alone}, or name --html")
-    chosen = PipelineOptions(profile, method, grid, history=history, monitor=monitor).settings(ctx)
-    network, cells = NetworkOptions(weights, passes, seed), options.parse_grid(chosen.grid)
+    settings = PipelineOptions(profile, method, grid, history=history, monitor=monitor).settings(ctx)
+    network, cells = NetworkOptions(weights, passes, seed), options.parse_grid(settings.grid)
     if serve:
-        _serve_page(reading, network.estimator(chosen.method, cells, target))
+        _serve_page(reading, network.estimator(settings.method, cells, target))
         return
     jobs = list(chosen_files(files or [], index))
     places = [file for file, _ in jobs]
@@ -112,18 +112,18 @@ def view(
         return named_sweeps(reading, jobs, names, failures, history=history)
 
     if foxglove is not None:
-        estimator = network.estimator(chosen.method, cells, target)
-        watch, live = watching(chosen.monitor, monitor_file), repeated(read, loop=sweeps is None)
-        taken = islice(at_rate(live, chosen.rate_hz), 0, None if sweeps is None else step * sweeps, step)
-        buffer = history_buffer(estimator, chosen.history)
-        _serve(foxglove, taken, estimator, buffer, watch, chosen, failures, following)
+        estimator = network.estimator(settings.method, cells, target)
+        watch, live = optional_monitor(settings.monitor, monitor_file), repeated(read, loop=sweeps is None)
+        taken = islice(at_rate(live, settings.rate_hz), 0, None if sweeps is None else step * sweeps, step)
+        buffer = history_buffer(estimator, settings.history)
+        _serve(foxglove, taken, estimator, buffer, watch, settings, failures, object_options)
     else:
-        own, check = (None, None)
-        if chosen.monitor or monitor_file:
-            own, check = _monitored(monitor_file, weights, method)
-        estimator = own or network.estimator(chosen.method, cells, target)
-        taken = islice(at_rate(read(), chosen.rate_hz), 0, None if sweeps is None else step * sweeps, step)
-        frames = _frames(taken, estimator, history_buffer(estimator, chosen.history), check, failures, following)
+        fitted_on, check = (None, None)
+        if settings.monitor or monitor_file:
+            fitted_on, check = _monitored(monitor_file, weights, method)
+        estimator = fitted_on or network.estimator(settings.method, cells, target)
+        taken = islice(at_rate(read(), settings.rate_hz), 0, None if sweeps is None else step * sweeps, step)
+        frames = _frames(taken, estimator, history_buffer(estimator, settings.history), check, failures, object_options)
         title = f"{places[0].name or places[0]}{f' and {len(places) - 1} more' if len(places) > 1 else ''}"
         typer.echo(_written(html, rerun or Path(), frames, title, places))
     if failures.count:
@@ -133,14 +133,14 @@ def view(
 def _written(
     html: Path | None, rerun: Path, frames: Iterator[tuple[Frame, str]], title: str, inputs: list[Path]
 ) -> str:
-    """Write the page, or else the file for Rerun, print a line for each frame, and return what was written."""
+    """Write the page, or else the file for Rerun; print a line for each frame; return a line with path and size."""
     from viewshed.show.view import pack_frame, write_page
 
     def packed() -> Iterator[PackedFrame]:
         for frame, line in frames:
-            made = pack_frame(frame)
-            typer.echo(f"{line}; {len(made.data) / 1e3:.1f} kB")
-            yield made
+            packed_frame = pack_frame(frame)
+            typer.echo(f"{line}; {len(packed_frame.data) / 1e3:.1f} kB")
+            yield packed_frame
 
     def shown() -> Iterator[Frame]:
         for frame, line in frames:
@@ -156,25 +156,25 @@ def _written(
 
 
 PAGE_PORT = 8765
-"""Of the page to try, where nothing else has it."""
+"""Port of the drop page, unless it is taken."""
 
 _SWEEPS_SHOWN = 50
-"""Of a capture that is dropped on the page."""
+"""Maximum number of sweeps shown of a dropped file."""
 
 
 def _serve_page(reading: Reading, estimator: Estimator) -> None:
-    """Serve the page to try until Ctrl-C."""
+    """Serve the drop page until Ctrl-C."""
     from viewshed.preprocess.plausibility import doubts
     from viewshed.show.view import pack_frame, write_page
     from viewshed.show.view.serve import RefusedFileError, serving
 
     def page_of(name: str, content: bytes) -> tuple[bytes, str]:
-        said: list[str] = []
+        message: list[str] = []
 
         def packed(frames: Iterator[tuple[Frame, str]]) -> Iterator[PackedFrame]:
             for frame, line in frames:
                 typer.echo(line)
-                said[:] = [line, *(doubts(frame.leveled) if frame.leveled is not None else ())]
+                message[:] = [line, *(doubts(frame.leveled) if frame.leveled is not None else ())]
                 yield pack_frame(frame)
 
         with tempfile.TemporaryDirectory(prefix="viewshed") as folder:
@@ -182,13 +182,13 @@ def _serve_page(reading: Reading, estimator: Estimator) -> None:
             file.write_bytes(content)
             try:
                 sweeps = islice((Named(sweep, name, file) for sweep in reading.sweeps(file)), _SWEEPS_SHOWN)
-                frames = _frames(sweeps, estimator, None, None, _Raising(), NOT_FOLLOWED)
+                frames = _frames(sweeps, estimator, None, None, _Raising(), NO_OBJECTS)
                 write_page(page, packed(frames), name)
             except BAD_INPUTS as error:
                 line = one_line(error).replace(f"{folder}{os.sep}", "")
                 complain(line)
                 raise RefusedFileError(line) from error
-            return page.read_bytes(), "; ".join(said)
+            return page.read_bytes(), "; ".join(message)
 
     with socket.socket() as probe:
         is_taken = probe.connect_ex(("127.0.0.1", PAGE_PORT)) == 0
@@ -198,7 +198,7 @@ def _serve_page(reading: Reading, estimator: Estimator) -> None:
 
 
 class _Raising(Failures):
-    """Raises what a file of one sweep cannot give: there are no others to go on with."""
+    """Raises failures instead of reporting them, for a single file."""
 
     def report(self, file: Path | str, error: Exception) -> None:
         """Raise the error."""
@@ -211,22 +211,22 @@ def _serve(
     estimator: Estimator,
     buffer: SweepBuffer | None,
     watch: StreamMonitor | None,
-    chosen: Profile,
+    settings: Profile,
     failures: Failures,
-    following: Following,
+    object_options: ObjectOptions,
 ) -> None:
-    """Show sweeps live in Foxglove, at the pace at which they were measured."""
+    """Show sweeps live in Foxglove, at their measured pace."""
     from viewshed.recordings.write.foxglove_topics import foxglove_server
 
     pace = Pacer(1.0)
     with foxglove_server(port) as record:
         typer.echo(f"open ws://localhost:{port} in Foxglove; Ctrl-C ends")
-        awaited = (Awaited(each.sweep.agent, pace.time_s, each.sweep) for each in pace.kept(sweeps))
-        answer([record], awaited, estimator, buffer, watch, chosen, following, failures, is_live=True)
+        pending = (PendingSweep(one.sweep.agent, pace.time_s, one.sweep) for one in pace.kept(sweeps))
+        answer([record], pending, estimator, buffer, watch, settings, object_options, failures, is_live=True)
 
 
 def _monitored(file: Path | None, weights: str | None, method: str | None) -> tuple[Estimator | None, Check]:
-    """Return the estimator that a monitor was fitted on, if it was on one, and what the monitor says of each sweep."""
+    """Return the estimator that a monitor was fitted on, or None, and a function that checks each sweep."""
     from viewshed.monitor import load_monitor
     from viewshed.monitor.calibration import kind_of_monitor
     from viewshed.monitor.deviation import NAME as DEVIATION
@@ -256,19 +256,19 @@ def _frames(
     buffer: SweepBuffer | None,
     check: Check | None,
     failures: Failures,
-    following: Following,
+    object_options: ObjectOptions,
 ) -> Iterator[tuple[Frame, str]]:
-    """Yield each sweep as it is shown, with its line; the sensor of the one before is expected first.
+    """Yield a frame and a line of text for each sweep; the sensor of the last sweep is tried first.
 
-    Where agents are put together, each round is shown in place of its sweeps.
+    If agents are fused, yield a frame for each round instead.
     """
     from viewshed.agents.legend import tracks_of_agent
     from viewshed.preprocess.leveling import level
     from viewshed.preprocess.sensor_identification import UNIDENTIFIED
     from viewshed.show.view import Frame
 
-    adversary = following.adversary()
-    objects, center = following.object_stream(adversary), Center(adversary) if following.fuse else None
+    adversary = object_options.adversary()
+    objects, center = object_options.object_stream(adversary), Center(adversary) if object_options.fuse else None
     sensor, is_warm, seen = UNIDENTIFIED, False, None
     for named in sweeps:
         try:
@@ -297,14 +297,14 @@ def _frames(
         if done is not None:
             yield _round_frame(done, adversary), line
         elif center is None:
-            found = None if seen is None else seen.detections
+            detections = None if seen is None else seen.detections
             tracks = None if seen is None else tracks_of_agent(seen).moved(seen.tracks_from_level.inverse())
-            yield Frame(named.name, estimate, leveled, report, found, tracks), line
+            yield Frame(named.name, estimate, leveled, report, detections, tracks), line
     note_unmet(adversary)
 
 
 def _round_frame(done: Round, adversary: Adversary | None) -> Frame:
-    """Return a round as it is shown: what all see together, their joint tracks, and who is trusted."""
+    """Return the frame of a round: joint view, joint tracks, and trust in each agent."""
     from viewshed.agents.legend import tracks_of_center
     from viewshed.show.view import AgentTrust, Frame
 

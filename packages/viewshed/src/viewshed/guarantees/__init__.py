@@ -1,1 +1,1 @@
-"""What cannot be over-claimed: an envelope that added returns only shrink, certificates, masks of a promised error."""
+"""Guarantees: an envelope that added returns only shrink, certificates against attacks, masks with bounded error."""

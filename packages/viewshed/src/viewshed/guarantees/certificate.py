@@ -1,4 +1,4 @@
-"""Certificates: what of a claim no attack of a given strength can have brought about."""
+"""Certificates: the part of a claim that no attack of a given strength can have opened."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ ADDED = Threat()
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Certificate:
-    """What a sweep's claim is worth under a threat.
+    """Certificate of one sweep's claim under a threat.
 
     Attributes:
         grid: of the cells.
-        threat: what the attacker may have done.
+        threat: the assumed attack.
         claim: (cells, cells) the estimate's claim inside the envelope.
-        over_claim_m2: of ``claim``, the area at most that an attack within the threat can have opened: cells that the
-            envelope of the sweep without the attack does not claim.
-        certified_visible: (cells, cells) the part of ``claim`` of which no cell can be owed to such an attack. Empty
-            where something was inferred from the sweep itself, unless the caller trusts that.
-        assumptions: what must hold, one line each.
-        inferred: what was inferred from the sweep itself.
+        over_claim_m2: upper bound of the area of ``claim`` that an attack within the threat can have opened: cells that
+            the envelope of the sweep without the attack does not claim.
+        certified_visible: (cells, cells) cells of ``claim`` that no such attack can have opened. Empty if anything was
+            inferred from the sweep itself, unless the caller trusts that.
+        assumptions: that must hold, one line each.
+        inferred: names of the inputs that were inferred from the sweep itself.
     """
 
     grid: BevGrid
@@ -46,7 +46,7 @@ class Certificate:
 
     @property
     def line(self) -> str:
-        """What is certified, in words."""
+        """One line that states what is certified."""
         against = f"against {self.threat.words}"
         if self.certified_visible.any():
             over = f"; of the claim at most {self.over_claim_m2:.0f} m² can be owed to it" if self.over_claim_m2 else ""
@@ -60,12 +60,12 @@ class Certificate:
         return f"nothing certified {against}: no cell of the claim has so many beams to spare"
 
     def withdraw(self, estimate: FovEstimate) -> FovEstimate:
-        """Return the estimate with no claim beyond the certified cells: those are UNKNOWN."""
+        """Return the estimate with all other claimed cells set to UNKNOWN."""
         return without(estimate, estimate.visible() & ~self.certified_visible)
 
 
 def without(estimate: FovEstimate, lost: Mask) -> FovEstimate:
-    """Return an estimate whose cells ``lost`` are UNKNOWN and not claimed."""
+    """Return an estimate whose ``lost`` cells are UNKNOWN and not claimed."""
     below = np.nextafter(np.float32(estimate.threshold), np.float32(0.0))
     return replace(
         estimate,
@@ -85,11 +85,11 @@ def certify(
     """Return the certificate of an estimate.
 
     Args:
-        leveled: the sweep that the estimate was made from.
-        estimate: what is claimed, by any estimator.
-        threat: what the attacker may have done.
-        given: what the envelope takes for granted; None is what the sweep says (:meth:`Given.of`).
-        trust_inferred: certify even where sensor, attitude or height were inferred from the sweep itself.
+        leveled: the sweep that was estimated.
+        estimate: by any estimator.
+        threat: the assumed attack.
+        given: inputs that the envelope takes for granted; None takes them from the sweep (:meth:`Given.of`).
+        trust_inferred: certify even if sensor, attitude or height were inferred from the sweep itself.
 
     Raises:
         ValueError: no beam table is known, the sensor fires no rings, or it is tilted by more than 15°.
@@ -107,7 +107,7 @@ def certify(
 
 
 def _assumptions(given: Given, threat: Threat) -> tuple[str, ...]:
-    """Return what must hold for a certificate, one line each."""
+    """Return the assumptions of a certificate, one line each."""
     ground = "the plane on which the sensor stands upright" if given.ground is None else "the given height map"
     tilt = "level" if given.tilt < 1e-6 else f"tilted by {np.rad2deg(given.tilt):.1f}°"
     return (

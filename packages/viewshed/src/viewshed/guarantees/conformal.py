@@ -1,15 +1,15 @@
-"""Masks with a promised error on benign data, and a lower bound of visibility at a place.
+"""Conformal guarantees on benign data: masks with a bounded error, and a lower bound of visibility at a point.
 
-**Mask.** Learn, then test (Angelopoulos et al., arXiv 2110.01052). A path of masks goes from strict to loose: first the
-ground on which a claim may stand gets less sure, then the threshold of the probability falls, in each range band as
-far as one half of the calibration scenes allows. On the other half each mask is tested, the strictest first: is the
-false share of a scene's claim above α in more than a share δ of scenes? The exact binomial test rejects that at the
-level 1 - confidence, and the last mask before the first that is not rejected is taken. So with probability
-``confidence`` over the calibration, P(false share ≤ α) ≥ 1 - δ for a new scene that is exchangeable with those of the
-calibration: same kind of places, sensor, target, mounting, no attack.
+**Mask.** Learn then test (Angelopoulos et al., arXiv 2110.01052). A path of masks goes from strict to loose: first the
+allowed standard deviation of the ground below a claim rises, then the probability threshold falls, in each range band
+as far as one half of the calibration scenes allows. The other half tests each mask, the strictest first. Null
+hypothesis: in more than a share δ of scenes, the false share of the claim is above α. The exact binomial test rejects
+it at the level 1 - confidence; the last mask before the first non-rejection is used. So with probability ``confidence``
+over the calibration, P(false share ≤ α) ≥ 1 - δ for a new scene that is exchangeable with the calibration scenes: same
+kind of places, sensor, target, mounting, no attack.
 
-**Place.** Of each calibration scene one cell is drawn in every bin of probability and range band, so that draws are
-independent. The Clopper-Pearson bound of their share that is visible holds for a cell of a new scene in that bin.
+**Point.** One cell is sampled from each calibration scene in every bin of probability and range band, so that samples
+are independent. The Clopper-Pearson bound of their visible share holds for a cell of a new scene in that bin.
 """
 
 from __future__ import annotations
@@ -36,19 +36,19 @@ BANDS_M = (0.0, 15.0, 30.0, 45.0, np.inf)
 """Edges of the range bands."""
 
 THRESHOLDS = np.concatenate([np.linspace(0.5, 0.9, 17), 1.0 - np.geomspace(0.08, 1e-6, 15)]).astype(np.float32)
-"""Thresholds that are tried."""
+"""Candidate probability thresholds."""
 
 GROUND_STDS_M = np.array([0.03, 0.05, 0.07, 0.085, 0.1, 0.125, 0.15, 0.2, 0.3, 0.5, np.inf], np.float32)
-"""Largest standard deviations of the ground below a claim that are tried."""
+"""Candidate maximum standard deviations of the ground below a claim."""
 
-_SURE = 20
-"""Number of the threshold (.99) while the ground gets less sure."""
+_STRICT_LEVEL = 20
+"""Index of the threshold (.99) used while the standard deviation of the ground rises."""
 
 PLACE_EDGES = np.array([0.5, 0.6, 0.75, 0.9, 0.99, 0.999], np.float32)
-"""Lower edges of the bins of probability in which places are counted."""
+"""Lower edges of the probability bins for the bound at a point."""
 
-LEAST_SCENES = 50
-"""Scenes that a recalibration needs."""
+MIN_SCENES = 50
+"""Minimum number of scenes for a recalibration."""
 
 _STEPS = 24
 _TABLE = "conformal.json"
@@ -56,12 +56,12 @@ _TABLE = "conformal.json"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SceneCounts:
-    """What calibration needs of one scene.
+    """Counts of one calibration scene.
 
     Attributes:
-        right: (GROUND_STDS_M, bands, THRESHOLDS) known cells claimed and visible.
-        false: the same, not visible.
-        drawn: (bands, PLACE_EDGES) of one cell drawn in each bin: 1 visible, 0 not, -1 no cell there.
+        right: (GROUND_STDS_M, bands, THRESHOLDS) number of known cells that are claimed and visible.
+        false: the same for cells that are claimed but not visible.
+        drawn: (bands, PLACE_EDGES) one cell sampled in each bin: 1 visible, 0 not visible, -1 no cell.
     """
 
     right: NDArray[np.int64]
@@ -72,17 +72,17 @@ class SceneCounts:
     def of(
         cls, estimate: FovEstimate, ground: HeightMap, visible: Mask, known: Mask, rng: np.random.Generator
     ) -> SceneCounts:
-        """Return the counts of an estimate over a ground against the truth (cells, cells) where that is known."""
+        """Return the counts of an estimate against the truth (cells, cells), where that is known."""
         bands, prob = band_of_cells(estimate.grid), estimate.visible_prob
         shape = (len(GROUND_STDS_M), len(BANDS_M) - 1, len(THRESHOLDS))
-        # Each claimed cell once, in its bin; then all that are as sure or surer.
+        # Count each claimed cell in its bin; then accumulate all bins that are as strict or stricter.
         cells = known & (prob >= THRESHOLDS[0])
-        sureness = np.searchsorted(GROUND_STDS_M, ground_std(ground, estimate.grid)[cells])
+        std_bin = np.searchsorted(GROUND_STDS_M, ground_std(ground, estimate.grid)[cells])
         level = np.searchsorted(THRESHOLDS, prob[cells], side="right") - 1
-        place = np.ravel_multi_index((sureness, bands[cells], level), shape)
+        index = np.ravel_multi_index((std_bin, bands[cells], level), shape)
         right, false = (
-            np.bincount(place[seen], minlength=np.prod(shape)).reshape(shape)
-            for seen in (visible[cells], ~visible[cells])
+            np.bincount(index[mask], minlength=np.prod(shape)).reshape(shape)
+            for mask in (visible[cells], ~visible[cells])
         )
         right, false = (counts.cumsum(axis=0)[..., ::-1].cumsum(axis=-1)[..., ::-1] for counts in (right, false))
         drawn = np.full((shape[1], len(PLACE_EDGES)), -1, np.int8)
@@ -97,16 +97,16 @@ class SceneCounts:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Calibration:
-    """What was measured on calibration scenes of one sensor, target and method.
+    """A calibration on scenes of one sensor, target and method.
 
     Attributes:
-        sensor: beam table, or what the scenes have in common.
+        sensor: name of the beam table or domain.
         target: name of the target.
         method: name of the estimator.
-        stds: (steps,) numbers in GROUND_STDS_M of the path's masks, the strictest first.
-        levels: (steps, bands) numbers in THRESHOLDS.
+        stds: (steps,) indices into GROUND_STDS_M of the path's masks, the strictest first.
+        levels: (steps, bands) indices into THRESHOLDS.
         shares: (steps, scenes) false share of the claim in each test scene.
-        seen: (bands, PLACE_EDGES, 2) cells drawn in each bin, and how many of them were visible.
+        seen: (bands, PLACE_EDGES, 2) number of cells sampled in each bin, and number of those visible.
     """
 
     sensor: str
@@ -119,33 +119,33 @@ class Calibration:
 
     @classmethod
     def fit(cls, scenes: Sequence[SceneCounts], sensor: str, target: str, method: str) -> Calibration:
-        """Return the calibration of scenes: the first half is learned from, the second tests.
+        """Return the calibration on scenes: the first half fits the path, the second half tests it.
 
         Args:
-            scenes: at least twice LEAST_SCENES, in an order drawn by chance.
+            scenes: at least twice MIN_SCENES, in random order.
             sensor: beam table.
             target: name of the target.
             method: name of the estimator.
         """
-        if len(scenes) < 2 * LEAST_SCENES:
-            raise ValueError(f"scenes must be {2 * LEAST_SCENES} or more, got {len(scenes)}; simulate or label more")
+        if len(scenes) < 2 * MIN_SCENES:
+            raise ValueError(f"scenes must be {2 * MIN_SCENES} or more, got {len(scenes)}; simulate or label more")
         half = len(scenes) // 2
         return _tested(sensor, target, method, *_path(scenes[:half]), scenes[half:])
 
     def retested(self, scenes: Sequence[SceneCounts], sensor: str) -> Calibration:
-        """Return the same path, tested on scenes of another domain: labelled ones, or such with cross-view labels.
+        """Return the same path, tested on scenes of another domain, labelled by hand or by cross-view labels.
 
-        The promise is then about that domain. It needs no weights, since the path was fixed before.
+        The guarantee then holds for that domain, without importance weights, because the path was fixed beforehand.
 
         Raises:
             ValueError: there are fewer than 50 scenes.
         """
-        if len(scenes) < LEAST_SCENES:
-            raise ValueError(f"recalibration needs {LEAST_SCENES} scenes or more, got {len(scenes)}; label more sweeps")
+        if len(scenes) < MIN_SCENES:
+            raise ValueError(f"recalibration needs {MIN_SCENES} scenes or more, got {len(scenes)}; label more sweeps")
         return _tested(sensor, self.target, self.method, self.stds, self.levels, scenes)
 
     def step(self, alpha: float, delta: float, confidence: float = 0.9) -> int:
-        """Return the step of the path that the tests allow, -1 where they allow none.
+        """Return the loosest step of the path that passes the tests; -1 if none does.
 
         Raises:
             ValueError: a number lies outside (0, 1).
@@ -153,25 +153,25 @@ class Calibration:
         for name, value in (("alpha", alpha), ("delta", delta), ("confidence", confidence)):
             if not 0.0 < value < 1.0:
                 raise ValueError(f"{name} must lie in (0, 1), got {value:g}")
-        broken, scenes = (self.shares > alpha).sum(axis=1), self.shares.shape[1]
-        refused = [binomial_tail(int(count), scenes, delta) > 1.0 - confidence for count in broken]
-        return int(np.argmax([*refused, True])) - 1
+        violations, scenes = (self.shares > alpha).sum(axis=1), self.shares.shape[1]
+        failed = [binomial_tail(int(count), scenes, delta) > 1.0 - confidence for count in violations]
+        return int(np.argmax([*failed, True])) - 1
 
     def guaranteed(
         self, estimate: FovEstimate, ground: HeightMap, alpha: float = 0.05, delta: float = 0.1, confidence: float = 0.9
     ) -> Mask:
-        """Return the cells (cells, cells) whose false share is at most α in a share 1 - δ of scenes; warns if none is.
+        """Return a mask (cells, cells) with a false share of at most α in a share 1 - δ of scenes; warns if empty.
 
         Args:
-            estimate: what is claimed.
-            ground: that it stands on, of the same sweep (``leveled.ground``).
+            estimate: of one sweep.
+            ground: of the same sweep (``leveled.ground``).
             alpha: α.
             delta: δ.
-            confidence: with which the calibration keeps its promise.
+            confidence: of the calibration.
 
         Raises:
-            ValueError: the calibration is another target's or method's, a number lies outside (0, 1), or so few scenes
-                promise nothing at that δ.
+            ValueError: the calibration is of another target or method, a number lies outside (0, 1), or there are too
+                few scenes for that δ.
         """
         self._check(estimate)
         step = self.step(alpha, delta, confidence)
@@ -202,12 +202,12 @@ class Calibration:
         cells, inside = estimate.grid.index(xy)
         i, j = cells[..., 0], cells[..., 1]
         bins = np.searchsorted(PLACE_EDGES, np.where(estimate.visible(), estimate.visible_prob, 0.0)[i, j], "right") - 1
-        bound = np.zeros((len(self.seen), len(PLACE_EDGES) + 1))  # the last one, of -1: below all bins
+        bound = np.zeros((len(self.seen), len(PLACE_EDGES) + 1))  # the last bin (-1) is below all edges
         for band, number in np.ndindex(self.seen.shape[:2]):
             count, visible = self.seen[band, number].tolist()
             bound[band, number] = lower_bound(visible, count, confidence)
-        found: F64 = np.where(inside, bound[band_of_cells(estimate.grid)[i, j], bins], np.nan)
-        return found
+        bounds: F64 = np.where(inside, bound[band_of_cells(estimate.grid)[i, j], bins], np.nan)
+        return bounds
 
     def _check(self, estimate: FovEstimate) -> None:
         if (estimate.target.name, estimate.method) != (self.target, self.method):
@@ -217,7 +217,7 @@ class Calibration:
             )
 
     def to_json(self) -> dict[str, Any]:
-        """Return the calibration as plain values."""
+        """Return the calibration as JSON values."""
         shares = [[round(float(share), 4) for share in step] for step in self.shares]
         arrays = {
             "stds": self.stds.tolist(),
@@ -229,7 +229,7 @@ class Calibration:
 
     @classmethod
     def from_json(cls, table: dict[str, Any]) -> Calibration:
-        """Return the calibration in plain values."""
+        """Return the calibration from values of :meth:`to_json`."""
         arrays = {name: np.array(table[name]) for name in ("stds", "levels", "seen")}
         shares = np.array(table["shares"], np.float32)
         return cls(table["sensor"], table["target"], table["method"], shares=shares, **arrays)
@@ -237,23 +237,23 @@ class Calibration:
 
 @lru_cache(maxsize=1)
 def shipped() -> tuple[Calibration, ...]:
-    """Return the calibrations of the package."""
+    """Return all calibrations shipped with the package."""
     text = resources.files("viewshed.guarantees").joinpath(_TABLE).read_text(encoding="utf-8")
     return tuple(Calibration.from_json(table) for table in json.loads(text))
 
 
 def calibration_for(sensor: str, target: str, method: str) -> Calibration:
-    """Return the shipped calibration.
+    """Return the shipped calibration of a sensor, target and method.
 
     Raises:
         ValueError: there is none; the message lists those that exist.
     """
-    for one in shipped():
-        if (one.sensor, one.target, one.method) == (sensor, target, method):
-            return one
+    for calibration in shipped():
+        if (calibration.sensor, calibration.target, calibration.method) == (sensor, target, method):
+            return calibration
     known = "; ".join(f"{one.sensor}, {one.target}, {one.method}" for one in shipped())
     raise ValueError(
-        f"no calibration for {sensor}, {target}, {method}, only for: {known}; fit one on {LEAST_SCENES} labelled sweeps"
+        f"no calibration for {sensor}, {target}, {method}, only for: {known}; fit one on {MIN_SCENES} labelled sweeps"
         " (Calibration.retested)"
     )
 
@@ -267,7 +267,7 @@ def band_of_cells(grid: BevGrid) -> NDArray[np.intp]:
 
 
 def ground_std(ground: HeightMap, grid: BevGrid) -> F32:
-    """Return the standard deviation (cells, cells) of the ground below each cell: of the node before it."""
+    """Return the standard deviation (cells, cells) of the ground below each cell, taken from the node before it."""
     return ground.std_m.ravel()[positions_of_cells(grid, ground.half_extent_m, len(ground.std_m)).node]
 
 
@@ -284,7 +284,7 @@ def binomial_tail(count: int, trials: int, share: float) -> float:
 
 
 def lower_bound(count: int, trials: int, confidence: float) -> float:
-    """Return the one-sided Clopper-Pearson lower bound of a share: ``count`` of ``trials``.
+    """Return the one-sided Clopper-Pearson lower bound of the share ``count`` / ``trials``.
 
     >>> round(lower_bound(59, 59, 0.95), 3)
     0.95
@@ -292,7 +292,7 @@ def lower_bound(count: int, trials: int, confidence: float) -> float:
     if count == 0:
         return 0.0
     low, high = 0.0, 1.0
-    # The share at which so many or more are as rare as 1 - confidence, by bisection.
+    # Bisection for the share at which P(N ≥ count) is 1 - confidence.
     for _ in range(50):
         middle = (low + high) / 2
         low, high = (
@@ -302,15 +302,15 @@ def lower_bound(count: int, trials: int, confidence: float) -> float:
 
 
 def _path(scenes: Sequence[SceneCounts]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return the numbers of the ground's deviations (steps,) and thresholds (steps, bands) of a path of masks."""
+    """Return a path of masks: indices into GROUND_STDS_M (steps,) and into THRESHOLDS (steps, bands)."""
     right, false = (np.sum([getattr(scene, name)[-1] for scene in scenes], axis=0) for name in ("right", "false"))
-    # In each band, the lowest threshold at and above which no more than a share is false; that share grows.
+    # In each band, the lowest threshold whose false share is at most a limit; the limit grows from step to step.
     share = false / np.maximum(right + false, 1)
     fits = share[None] <= np.geomspace(0.002, 0.5, _STEPS)[:, None, None]
     levels = np.where(fits.any(axis=-1), fits.argmax(axis=-1), len(THRESHOLDS) - 1)
-    sure = np.arange(len(GROUND_STDS_M))
-    stds = np.concatenate([sure, np.full(_STEPS, sure[-1])])
-    return stds, np.concatenate([np.full((len(sure), levels.shape[1]), _SURE), levels])
+    rising = np.arange(len(GROUND_STDS_M))
+    stds = np.concatenate([rising, np.full(_STEPS, rising[-1])])
+    return stds, np.concatenate([np.full((len(rising), levels.shape[1]), _STRICT_LEVEL), levels])
 
 
 def _tested(
@@ -321,7 +321,7 @@ def _tested(
     levels: NDArray[np.intp],
     scenes: Sequence[SceneCounts],
 ) -> Calibration:
-    """Return the calibration of a path of masks on scenes that did not choose it; no claim has no false share."""
+    """Return the calibration of a path of masks, tested on scenes not used to fit it; an empty claim has share 0."""
     at = stds[:, None], np.arange(levels.shape[1]), levels
     right, false = (np.array([getattr(scene, name)[at].sum(axis=1) for scene in scenes]) for name in ("right", "false"))
     shares = (false / np.maximum(right + false, 1)).T.astype(np.float32)

@@ -1,4 +1,4 @@
-"""Monitors that say when a stream, or an estimate, is to be doubted."""
+"""Monitors that raise alarms on streams and estimates that may have been attacked or degraded."""
 
 from __future__ import annotations
 

@@ -1,10 +1,10 @@
-"""How rare a score is on benign streams, and the limit above which a chosen number of false alarms an hour lies.
+"""Calibrate scores on benign streams: their p-values, and the limit for a chosen number of false alarms an hour.
 
-What is counted are *alarms*, not sweeps: neighbors in a stream are nearly the same sweep, and a latched alarm is one.
-Above a level that benign streams pass often, the heights of their peaks are those of a generalized Pareto distribution
-(peaks over a threshold; Pickands, 1975). How many there are an hour, how high they are and how heavy their tail is are
-known from few, so each has a spread: the rate of a limit is the mean over that, and the promise says its upper end.
-So a limit for one alarm an hour can be given from less than an hour; it is an extrapolation, which the promise says.
+The rate counts *alarms*, not sweeps: consecutive sweeps are nearly equal, and a latched alarm counts once. Above a
+high threshold the peaks of benign scores follow a generalized Pareto distribution (peaks over a threshold; Pickands,
+1975). Its rate, scale and shape come from few peaks and are therefore uncertain: the rate of a limit is the mean over
+their posterior, and the promise gives its upper quantile. A limit for one alarm an hour can thus be extrapolated from
+less than an hour of driving; the promise then says so.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ from viewshed._files import DAMAGED, read_arrays, write_atomic
 from viewshed.arrays import F32, F64, Mask
 from viewshed.monitor.evidence import EARLIER_SWEEPS, EVIDENCE, SECTORS, Evidence
 from viewshed.monitor.score import (
-    BESIDE,
     MEMORY_SWEEPS,
+    NEIGHBOR_SECTORS,
     ONSET_SWEEPS,
     Past,
     SurpriseScale,
@@ -35,41 +35,41 @@ from viewshed.monitor.score import (
     of_place,
     sector_scores,
 )
-from viewshed.monitor.tails import chance_of_more, heights_of, peaks_of, shape_of
+from viewshed.monitor.tails import exceedance_probability, heights_of, peaks_of, shape_of
 from viewshed.monitor.watch import Watch
 
 CONFIDENCE = 0.9
-"""Probability with which a promise says the upper end of a rate."""
+"""Confidence of the upper bound of a rate in a promise."""
 
-LEAST_MINUTES = 1.0
-"""Driving without which nothing is calibrated."""
+MIN_MINUTES = 1.0
+"""Minimum benign driving for a calibration."""
 
-ATTACKED_SHARE, ATTACKED_CHANCE = 0.1, 1e-3
-"""Sweeps that the base calls are left out as attacked if they are no larger share, with those that an attack disturbs
-after it, and if the tail of the others makes so many and so high alarms less probable than this."""
+ATTACKED_SHARE, ATTACKED_PROBABILITY = 0.1, 1e-3
+"""Sweeps above the base's limit are left out as attacked if they (including sweeps that an attack disturbs after it)
+are at most this share, and if the tail of the other sweeps gives so many and so high alarms a lower probability."""
 
 PARTS = 7
-"""Parts of the benign streams, each of which is scored by the others."""
+"""Folds of the benign streams: the scores of each fold use surprise scales fitted on the others."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Calibration:
-    """What is usual in benign streams.
+    """Statistics of benign streams.
 
     Attributes:
-        names: (E,) kinds of evidence, in their order.
-        of_place: (E,) bool, which kinds change with the place and count as one.
+        names: (E,) kinds of evidence, in order.
+        of_place: (E,) bool, kinds that change with the place and count as one.
         prior_scale: (E,) median over the streams of the scale of each kind, see ``score.Past``.
-        changes: scale (E, K) of standardized changes of the strongest sector on benign sweeps.
-        scores: scale (1, K) of scores on benign sweeps.
-        peaks: (P,) heights of the peaks of the score, one for each alarm that a limit below it would have raised.
-        shape: of the tail of the peaks, 0 of an exponential, less where it ends; a few minutes cannot say it.
+        changes: surprise scale (E, K) of the standardized change of the strongest sector on benign sweeps.
+        scores: surprise scale (1, K) of the scores of benign sweeps.
+        peaks: (P,) heights of the score's peaks; each is one alarm under any limit below it.
+        shape: of the tail of the peaks: 0 is exponential, negative has an end. A few minutes cannot determine it.
         hours: of benign driving.
-        facts: what else must be known, by name: where the streams are from.
+        facts: further information by name, such as the origin of the streams.
         evidence: :data:`EVIDENCE_ID` of the evidence that it is calibrated on.
 
     Raises:
-        ValueError: the parts do not fit, or there is too little driving.
+        ValueError: the shapes do not match, or there is too little driving.
     """
 
     names: tuple[str, ...]
@@ -88,9 +88,9 @@ class Calibration:
         shapes = self.prior_scale.shape, self.of_place.shape, (len(self.changes.values),)
         if set(shapes) != {(kinds,)} or len(self.scores.values) != 1:
             raise ValueError(f"a calibration must be of {kinds} kinds of evidence, got {shapes}; calibrate it again")
-        if not self.hours * 60.0 >= LEAST_MINUTES - 1e-6:
+        if not self.hours * 60.0 >= MIN_MINUTES - 1e-6:
             raise ValueError(
-                f"benign drives must last {LEAST_MINUTES:g} minute at least, got {self.hours * 60.0:.2g}; give more"
+                f"benign drives must last {MIN_MINUTES:g} minute at least, got {self.hours * 60.0:.2g}; give more"
             )
 
     @classmethod
@@ -105,36 +105,36 @@ class Calibration:
         """Return the calibration of benign streams.
 
         Args:
-            streams: of each stream the evidence (T, E, SECTORS) of its sweeps.
+            streams: evidence (T, E, SECTORS) of the sweeps of each stream.
             hz: sweeps a second.
             kinds: of the evidence.
-            base: its scales are kept and only the rates are from these streams: a few minutes of an own vehicle cannot
-                say how rare a change is. Sweeps that seem attacked are left out; ``facts`` then says how many. None
-                fits all.
-            facts: what else must be known.
+            base: calibration whose scales are kept; only the rates are then fitted on these streams, because a few
+                minutes of driving cannot determine how rare a change is. Sweeps that seem attacked are left out and
+                counted in ``facts``. None fits everything.
+            facts: further information by name.
 
         Raises:
             ValueError: there is too little driving.
         """
         pasts = [evidence.astype(np.float32) for evidence in streams if len(evidence) > EARLIER_SWEEPS]
         hours = sum(map(len, pasts)) / (3600.0 * hz)
-        if hours * 60.0 < LEAST_MINUTES - 1e-6:
+        if hours * 60.0 < MIN_MINUTES - 1e-6:
             short = sum(map(len, streams)) - sum(map(len, pasts))
             why = f" besides {short} sweeps in streams of {EARLIER_SWEEPS} or fewer, without a past" if short else ""
             raise ValueError(
-                f"benign drives must last {LEAST_MINUTES:g} minute at least, got {hours * 60.0:.2g}{why}; give more"
+                f"benign drives must last {MIN_MINUTES:g} minute at least, got {hours * 60.0:.2g}{why}; give more"
             )
-        # 1. The usual scale of each kind: what the first seconds of a stream are standardized by.
+        # 1. The prior scale of each kind, which standardizes the first seconds of a stream.
         prior = base.prior_scale if base is not None else _prior_scale(pasts, kinds)
         if base is not None:
             scale, (scores, left_out) = base.changes, _own_scores(pasts, base, kinds)
             facts = dict(facts or {}) | ({"left_out": str(left_out)} if left_out else {})
         else:
-            # 2. Standardized changes of all streams, and how rare they are.
+            # 2. Standardized changes of all streams, and their surprise scale.
             changes = [changes_of(one, prior, kinds) for one in pasts]
             strongest = [np.fmax.reduce(one, axis=2) for one in changes]
             scale = SurpriseScale.fit(strongest)
-            # 3. Scores, those of each part of the streams by how rare changes are in the other parts.
+            # 3. Scores; those of each fold by the surprise scale of the other folds.
             scales = [scale] * len(changes)
             if len(changes) > 1:
                 others = [
@@ -144,7 +144,7 @@ class Calibration:
                 scales = [others[number % PARTS] for number in range(len(changes))]
             once = of_place(kinds)
             scores = [sector_scores(by(one), once).max(axis=1) for by, one in zip(scales, changes, strict=True)]
-        # 4. Their peaks.
+        # 4. Peaks of the scores.
         peaks = np.sort(np.concatenate([peaks_of(one) for one in scores]).astype(np.float64))
         shape = base.shape if base is not None else shape_of(heights_of(peaks)[1])
         return cls(
@@ -158,7 +158,7 @@ class Calibration:
         return float(sector_scores(surprises, self.of_place).max()), surprises[0]
 
     def p_value(self, score: float) -> float:
-        """Return the share of benign sweeps that score as high at least, going on beyond the highest."""
+        """Return the share of benign sweeps that score at least as high, extrapolated beyond the highest."""
         return float(np.clip(10.0 ** -self.scores(np.array([[score]], np.float32))[0, 0], 1e-12, 1.0))
 
     @property
@@ -167,14 +167,14 @@ class Calibration:
         return 1.0 / self.hours
 
     def limit(self, per_hour: float, *, extrapolate: bool = False) -> float:
-        """Return the score above which the expected number of false alarms an hour is the chosen one.
+        """Return the score limit whose expected number of false alarms an hour is ``per_hour``.
 
         Args:
-            per_hour: false alarms.
-            extrapolate: whether fewer may be asked for than the streams are hours long, by their tail.
+            per_hour: false alarms an hour.
+            extrapolate: allow a rate below ``least_per_hour``, extrapolated from the tail of the peaks.
 
         Raises:
-            ValueError: the number is not positive, or needs more driving.
+            ValueError: the rate is not positive, or needs more driving.
         """
         if not per_hour > 0.0:
             raise ValueError(f"per_hour must be positive, got {per_hour:g}")
@@ -183,7 +183,7 @@ class Calibration:
                 f"{per_hour:g} false alarms an hour need {60.0 / per_hour:.0f} minutes of benign driving, got"
                 f" {self.hours * 60.0:.1f}; give more drives, or ask for {math.ceil(self.least_per_hour * 10) / 10:g}"
             )
-        # The rate falls as the limit rises: halve the interval in which it is the chosen one.
+        # Bisection: the rate falls as the limit rises.
         low, high = self._tail()[0], 1e4
         for _ in range(60):
             middle = (low + high) / 2.0
@@ -191,40 +191,40 @@ class Calibration:
         return high
 
     def per_hour(self, limit: float, confidence: float | None = None) -> float:
-        """Return the number of false alarms an hour above a limit: expected, or not exceeded with a confidence.
+        """Return the number of false alarms an hour above a limit: expected, or its upper bound at a confidence.
 
-        Posterior draws of how many peaks an hour there are and of the scale of their heights, both gamma; the shape is
+        Samples the number of peaks and the inverse scale of their heights from gamma posteriors; the shape is fixed at
         the median of its own posterior.
         """
         begin, scale, count = self._tail()
-        peaks_an_hour, per_scale = _draws_of(count)
-        within = np.maximum(1.0 + self.shape * max(limit - begin, 0.0) / scale * per_scale, 0.0)
-        rates = peaks_an_hour / self.hours * within ** (-1.0 / self.shape)
+        peak_counts, inverse_scales = _posterior_samples(count)
+        within = np.maximum(1.0 + self.shape * max(limit - begin, 0.0) / scale * inverse_scales, 0.0)
+        rates = peak_counts / self.hours * within ** (-1.0 / self.shape)
         return float(rates.mean() if confidence is None else np.quantile(rates, confidence))
 
     def promise(self, per_hour: float) -> str:
-        """Return in a line what a limit for this many false alarms an hour rests on."""
+        """Return one line that states the limit for this false-alarm rate, its upper bound and its basis."""
         limit = self.limit(per_hour, extrapolate=True)
         how = "" if per_hour >= self.least_per_hour else ", an extrapolation of the tail of their scores"
-        most = self.per_hour(limit, CONFIDENCE)
+        upper_bound = self.per_hour(limit, CONFIDENCE)
         return (
-            f"score above {limit:.2f}: {per_hour:g} false alarms an hour, at most {most:.2g}"
+            f"score above {limit:.2f}: {per_hour:g} false alarms an hour, at most {upper_bound:.2g}"
             f" with probability {CONFIDENCE:g}, by {self.hours * 60.0:.0f} minutes of benign driving{how}"
         )
 
     def _tail(self) -> tuple[float, float, int]:
-        """Return where the tail of the peaks begins, the scale of their heights above that, and how many there are."""
+        """Return the threshold at which the tail of the peaks begins, the scale of the excesses, and their number."""
         begin, heights = heights_of(self.peaks)
         if not len(heights):
             return begin, 1.0, 0
-        # The scale by the median, which a few odd peaks hardly move.
+        # The scale from the median excess, which is robust to a few outliers.
         scale = float(np.median(heights)) * self.shape / (2.0**self.shape - 1.0)
         return begin, max(scale, 0.1), len(heights)
 
 
 @lru_cache(maxsize=8)
-def _draws_of(count: int) -> tuple[F64, F64]:
-    """Return draws of the number of peaks and of the inverse of their scale, of ``count`` peaks of scale 1."""
+def _posterior_samples(count: int) -> tuple[F64, F64]:
+    """Return 4,000 posterior samples of the number of peaks and of their inverse scale, given ``count`` of scale 1."""
     rng = np.random.default_rng(34)
     return rng.gamma(count + 0.5, 1.0, 4000), rng.gamma(max(count, 1), 1.0 / max(count, 1), 4000)
 
@@ -240,61 +240,62 @@ def changes_of(stream: F32, prior_scale: F32, kinds: Mapping[str, Evidence] = EV
 
 
 def scores_of(stream: F32, base: Calibration, limit: float, kinds: Mapping[str, Evidence] = EVIDENCE) -> F32:
-    """Return the scores (T,) of a stream's evidence (T, E, SECTORS) by a calibration; NaN where it has no past.
+    """Return the scores (T,) of a stream's evidence (T, E, SECTORS) under a calibration; NaN where it has no past.
 
-    Sweeps above the limit do not become part of the past, as those of an alarm.
+    Sweeps above the limit do not become part of the past.
     """
     watch = Watch(base, limit, kinds)
     return np.array([watch.check(evidence).score for evidence in stream], np.float32)
 
 
 def _own_scores(streams: Sequence[F32], base: Calibration, kinds: Mapping[str, Evidence]) -> tuple[list[F32], int]:
-    """Return the scores (T,) of each stream by a base, NaN in sweeps that seem attacked, and how many those are.
+    """Return the scores (T,) of each stream under a base, NaN in sweeps that seem attacked, and their number.
 
-    Alarms at the base's limit of one an hour are an attack's if the tail of the other peaks does not go on to them.
-    Where it does, the streams are rougher than the base's, and where the base calls many sweeps it is another sensor:
-    then all sweeps count.
+    Alarms at the base's limit of one an hour are taken for an attack if the tail of the other peaks does not explain
+    them. If it does, the streams are rougher than the base's; if many sweeps exceed the limit, the sensor is another
+    one. In both cases all sweeps count.
     """
     limit = base.limit(1.0, extrapolate=True)
     scores = [scores_of(one, base, limit, kinds) for one in streams]
     calm = [np.where(one > limit, np.float32(np.nan), one) for one in scores]
     peaks = np.concatenate([peaks_of(one) for one in scores])
-    called, count = peaks[peaks > limit], sum(int((one > limit).sum()) for one in scores)
+    alarms, count = peaks[peaks > limit], sum(int((one > limit).sum()) for one in scores)
     if not count:
         return scores, 0
     if count <= ATTACKED_SHARE * sum(map(len, scores)):
         begin, heights = heights_of(np.sort(np.concatenate([peaks_of(one) for one in calm])).astype(np.float64))
-        # The higher half of the alarms: how high they are says as much as how many.
-        middle = float(np.median(called))
-        many = int((called >= middle).sum())
-        usual = base._tail()[1]
-        if chance_of_more(heights, base.shape, usual, limit - begin, middle - begin, many) < ATTACKED_CHANCE:
+        # Test the higher half of the alarms: their height is as telling as their number.
+        middle = float(np.median(alarms))
+        above = int((alarms >= middle).sum())
+        scale = base._tail()[1]
+        probability = exceedance_probability(heights, base.shape, scale, limit - begin, middle - begin, above)
+        if probability < ATTACKED_PROBABILITY:
             return calm, count
     return [scores_of(one, base, np.inf, kinds) for one in streams], 0
 
 
 def _prior_scale(streams: Sequence[F32], kinds: Mapping[str, Evidence]) -> F32:
     """Return the median over streams of the scale (E,) of each kind of evidence; 1 where none has any spread."""
-    nothing = np.zeros(len(kinds), np.float32)
+    zeros = np.zeros(len(kinds), np.float32)
     scales = []
     for stream in streams:
-        past = Past(nothing, kinds)
+        past = Past(zeros, kinds)
         for evidence in stream[-MEMORY_SWEEPS:]:
             past.add(evidence)
         scales.append(past.reference().scale)
-    found = np.array(scales)
-    found[found <= 0.0] = np.nan
-    some = np.isfinite(found).any(axis=0)
-    return np.where(some, np.nanmedian(np.where(some, found, 1.0), axis=0), 1.0).astype(np.float32)
+    by_stream = np.array(scales)
+    by_stream[by_stream <= 0.0] = np.nan
+    known = np.isfinite(by_stream).any(axis=0)
+    return np.where(known, np.nanmedian(np.where(known, by_stream, 1.0), axis=0), 1.0).astype(np.float32)
 
 
 def alarms_allowed(scenes: int, rate: float, *, unit: str = "scenes") -> int:
-    """Return how many of the benign scores of ``scenes`` scenes may lie above the limit of an alarm with this rate.
+    """Return how many of ``scenes`` benign scores may lie above the limit of an alarm with this false-alarm rate.
 
     Args:
         scenes: number of benign scores.
-        rate: of false alarms, in (0, 1), expected.
-        unit: what the message calls them.
+        rate: expected false-alarm rate, in (0, 1).
+        unit: noun for the scores in the error message.
 
     Raises:
         ValueError: there are too few for the rate, even with none above.
@@ -311,7 +312,7 @@ def alarms_allowed(scenes: int, rate: float, *, unit: str = "scenes") -> int:
 
 
 def alarm_limit(benign: ArrayLike, rate: float, *, unit: str = "sweeps") -> float:
-    """Return the score above which a further benign one lies with at most this probability.
+    """Return the limit that a further benign score exceeds with probability ``rate`` at most.
 
     The (n - m)-th smallest of n scores, with m = ``alarms_allowed(n, rate)``: the ⌈(n + 1)(1 - rate)⌉-th.
 
@@ -327,13 +328,15 @@ def alarm_limit(benign: ArrayLike, rate: float, *, unit: str = "sweeps") -> floa
 
 
 def evidence_id(kinds: Mapping[str, Evidence]) -> str:
-    """Return what identifies evidence: a hash of names, versions and grains in their order, and of the sectors."""
+    """Return the ID of a set of evidence: a hash of names, versions and grains in order, and of the sectors."""
     rows = [[name, kind.version, kind.grain, kind.two_sided, kind.of_place] for name, kind in kinds.items()]
-    return hashlib.sha256(json.dumps([SECTORS, EARLIER_SWEEPS, ONSET_SWEEPS, BESIDE, rows]).encode()).hexdigest()[:16]
+    return hashlib.sha256(
+        json.dumps([SECTORS, EARLIER_SWEEPS, ONSET_SWEEPS, NEIGHBOR_SECTORS, rows]).encode()
+    ).hexdigest()[:16]
 
 
 EVIDENCE_ID = evidence_id(EVIDENCE)
-"""Of the evidence of this version; other numbers void a calibration, a release does not."""
+"""ID of this version's evidence. Changed evidence invalidates a calibration; a new release alone does not."""
 
 NAME, FORMAT_VERSION = "stream", 8
 
@@ -341,11 +344,11 @@ SHIPPED = Path(__file__).parent / "monitors" / "simulated.npz"
 """The shipped calibration."""
 
 _MAX_BYTES = 1 << 24
-"""Largest part of a file, unpacked."""
+"""Largest array of a file, unpacked."""
 
 
 def save_calibration(calibration: Calibration, path: str | Path) -> None:
-    """Write a calibration to ``path`` (compressed NPZ) at once or not at all; the same calibration, the same bytes.
+    """Write a calibration to ``path`` (compressed NPZ), atomically; equal calibrations give equal bytes.
 
     Raises:
         OSError: the file cannot be written.
@@ -364,10 +367,10 @@ def save_calibration(calibration: Calibration, path: str | Path) -> None:
 
 
 def load_calibration(path: str | Path) -> Calibration:
-    """Return the calibration in a file of :func:`save_calibration`; nothing is unpickled.
+    """Read a calibration that :func:`save_calibration` wrote; nothing is unpickled.
 
     Raises:
-        ValueError: the file is none, of other evidence, or damaged.
+        ValueError: the file is no calibration, of other evidence, or damaged.
         OSError: it cannot be read.
     """
     raw = Path(path).read_bytes()
@@ -395,10 +398,10 @@ def load_calibration(path: str | Path) -> Calibration:
 
 
 def read_about(arrays: Mapping[str, NDArray[Any]], name: str, version: int) -> dict[str, Any]:
-    """Return what a monitor file says of itself, checked to be of the monitor ``name`` in the format ``version``.
+    """Return the header of a monitor file, after checking that it is monitor ``name`` in format ``version``.
 
     Raises:
-        DAMAGED: it is not; ValueError says what it is.
+        DAMAGED: it is not; a ValueError says what the file is.
     """
     if "about" not in arrays:
         raise ValueError("no monitor")
@@ -411,12 +414,12 @@ def read_about(arrays: Mapping[str, NDArray[Any]], name: str, version: int) -> d
 
 
 def shipped_calibration() -> Calibration:
-    """Return the shipped calibration, of simulated streams; see docs/monitor.md for its measured rates."""
+    """Return the shipped calibration, fitted on simulated streams; docs/monitor.md gives its measured rates."""
     return load_calibration(SHIPPED)
 
 
 def kind_of_monitor(path: str | Path) -> str:
-    """Return the name of the monitor that wrote a file; empty where none did.
+    """Return the name of the monitor that wrote a file; empty if it is no monitor file.
 
     Raises:
         OSError: it cannot be read.
@@ -429,7 +432,7 @@ def kind_of_monitor(path: str | Path) -> str:
 
 
 def checked_scores(name: str, values: ArrayLike) -> F64:
-    """Return scores (N,), one or more, or raise a ValueError that begins with their name."""
+    """Return the scores (N,) as float64; raise a ValueError that begins with ``name`` if there are none or any NaN."""
     scores = np.asarray(values, np.float64)
     if scores.ndim != 1 or not scores.size or np.isnan(scores).any():
         raise ValueError(f"{name} must be one or more scores, none of them NaN, got shape {scores.shape}")

@@ -1,6 +1,6 @@
-"""The paper's detector: cells whose Monte Carlo dropout deviation is larger than it is on benign sweeps.
+"""The paper's detector: flags cells whose Monte Carlo dropout deviation is larger than on benign sweeps.
 
-It checks the estimate alone, one sweep at a time. A fitted monitor as a file.
+It checks estimates alone, one sweep at a time. A fitted monitor can be saved and loaded.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ NAME = "deviation"
 
 @dataclass(frozen=True, slots=True)
 class Rule:
-    """How a cell's threshold follows from its benign deviations: their mean plus some of their standard deviations.
+    """A cell's threshold: mean plus ``sigmas`` standard deviations of its benign deviations.
 
     Attributes:
-        sigmas: how many.
-        few: a cell with fewer benign sweeps than this takes mean and standard deviation from its range ring.
+        sigmas: number of standard deviations.
+        few: a cell with fewer benign sweeps than this uses the moments of its range ring.
         rings: number of range rings between the sensor and the grid's farthest corner.
-        least: no threshold is lower; a smaller deviation is no doubt, wherever it occurs.
+        least: lower bound of all thresholds; smaller deviations are never suspect.
 
     Raises:
         ValueError: a value is out of range.
@@ -55,20 +55,20 @@ RULE = Rule()
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DeviationMonitor:
-    """Alarms where more cells than on benign sweeps deviate more than on benign sweeps (arXiv 2503.07375).
+    """Alarms if more cells than on benign sweeps deviate more than on benign sweeps (arXiv 2503.07375).
 
-    A cell is watched if it had a deviation on benign sweeps, whatever its state was then and is now: what is watched
-    is not the attacker's to choose. It is suspect if its deviation is above its own threshold. The score is the share
-    of watched cells that are suspect.
+    A cell is watched if it had a deviation on benign sweeps, whatever its state, so that an attacker cannot choose
+    what is watched. It is suspect if its deviation is above its own threshold. The score is the share of watched cells
+    that are suspect.
 
     Attributes:
         grid: of the estimates.
-        thresholds: (cells, cells) float32 by cell; +∞ where none is watched.
-        method: who made the estimates that it was fitted on, the only ones that it can check.
-        limit: score above which it alarms, or None before it is calibrated.
-        false_alarm_rate: that the limit was chosen for, or None.
-        sweeps: benign sweeps that it was fitted on, and calibrated on.
-        facts: what else must be known to make the same estimates, by name; goes into the file.
+        thresholds: (cells, cells) float32; +∞ for cells that are not watched.
+        method: estimator of the fitted estimates; only its estimates can be checked.
+        limit: score above which it alarms; None before calibration.
+        false_alarm_rate: rate that the limit was chosen for, or None.
+        sweeps: numbers of benign sweeps used to fit and to calibrate.
+        facts: further settings of the estimator by name, stored in the file.
 
     Raises:
         ValueError: thresholds do not fit the grid, are negative or NaN, or watch no cell; the limit is NaN.
@@ -97,16 +97,16 @@ class DeviationMonitor:
 
     @property
     def watched(self) -> NDArray[np.bool_]:
-        """Mask (cells, cells) of the cells that are watched."""
+        """Mask (cells, cells) of watched cells."""
         return np.isfinite(self.thresholds)
 
     @classmethod
     def fit(cls, estimates: Iterable[FovEstimate], rule: Rule = RULE) -> DeviationMonitor:
-        """Return the monitor of benign estimates, not calibrated yet; it keeps no estimate in memory.
+        """Return a monitor fitted on benign estimates, not calibrated yet; estimates are not kept in memory.
 
         Args:
             estimates: of one method on one grid, with standard deviations.
-            rule: how thresholds follow.
+            rule: computes the thresholds.
 
         Raises:
             ValueError: there are none, they differ in grid or method, or have no deviation.
@@ -124,10 +124,10 @@ class DeviationMonitor:
         return cls(first.grid, _thresholds(moments, first.grid, rule), first.method, sweeps=(count, 0))
 
     def calibrated(self, estimates: Iterable[FovEstimate], false_alarm_rate: float) -> DeviationMonitor:
-        """Return the monitor with the limit that a further benign sweep passes with at most this probability.
+        """Return the monitor with the limit that a further benign sweep exceeds with this probability at most.
 
         Args:
-            estimates: benign, and none of those that it was fitted on: their scores are too low.
+            estimates: benign, and not used to fit: scores of fitted estimates are too low.
             false_alarm_rate: in (0, 1).
 
         Raises:
@@ -138,7 +138,7 @@ class DeviationMonitor:
         return replace(self, limit=limit, false_alarm_rate=false_alarm_rate, sweeps=(self.sweeps[0], len(scores)))
 
     def suspect(self, estimate: FovEstimate) -> NDArray[np.bool_]:
-        """Return the mask (cells, cells) of cells that deviate more than on benign sweeps.
+        """Return the mask (cells, cells) of cells whose deviation is above their threshold.
 
         Raises:
             ValueError: the estimate is of another grid or method, or has no standard deviation.
@@ -151,7 +151,7 @@ class DeviationMonitor:
         return float(self.suspect(estimate).sum()) / float(self.watched.sum())
 
     def check(self, estimate: FovEstimate) -> IntegrityReport:
-        """Return what the monitor says of an estimate.
+        """Return the report on an estimate.
 
         Raises:
             ValueError: it is not calibrated, or as for :meth:`suspect`.
@@ -165,7 +165,7 @@ class DeviationMonitor:
 
 
 def _deviation(estimate: FovEstimate, grid: BevGrid, method: str) -> NDArray[np.float32]:
-    """Return the standard deviation (cells, cells) of an estimate that must be on a grid and of a method."""
+    """Return the standard deviation (cells, cells) of an estimate after checking its grid and method."""
     if estimate.grid != grid:
         raise ValueError(f"estimate must be on the monitor's grid {_size_of(grid)}, got {_size_of(estimate.grid)}")
     if estimate.method != method:
@@ -185,16 +185,16 @@ def _size_of(grid: BevGrid) -> str:
 
 
 def _thresholds(moments: NDArray[np.float64], grid: BevGrid, rule: Rule) -> NDArray[np.float32]:
-    """Return thresholds by cell from count, sum and sum of squares (3, cells, cells) of its benign deviations."""
+    """Return thresholds (cells, cells) from count, sum and sum of squares (3, cells, cells) of benign deviations."""
     range_m, _ = polar_of_cells(grid)
     farthest = float(range_m.max()) + 1e-6
     ring = np.minimum((range_m / farthest * rule.rings).astype(np.intp), rule.rings - 1)
-    of_rings = np.stack([np.bincount(ring.ravel(), moment.ravel(), rule.rings) for moment in moments])[:, ring]
-    chosen = np.where(moments[0] < rule.few, of_rings, moments)
-    count = np.maximum(chosen[0], 1)
-    mean = chosen[1] / count
-    spread = np.sqrt(np.maximum(chosen[2] / count - mean**2, 0) * (count / np.maximum(count - 1, 1)))
-    limits = np.maximum(mean + rule.sigmas * spread, rule.least)
+    ring_moments = np.stack([np.bincount(ring.ravel(), moment.ravel(), rule.rings) for moment in moments])[:, ring]
+    used = np.where(moments[0] < rule.few, ring_moments, moments)
+    count = np.maximum(used[0], 1)
+    mean = used[1] / count
+    std = np.sqrt(np.maximum(used[2] / count - mean**2, 0) * (count / np.maximum(count - 1, 1)))
+    limits = np.maximum(mean + rule.sigmas * std, rule.least)
     return np.where(moments[0] > 0, limits, np.inf).astype(np.float32)
 
 
@@ -205,7 +205,7 @@ _MAX_BYTES = 4 * MAX_CELLS**2 + 4096
 
 
 def save_monitor(monitor: DeviationMonitor, path: str | Path) -> None:
-    """Write a monitor to ``path`` (compressed NPZ) at once or not at all; the same monitor, the same bytes.
+    """Write a monitor to ``path`` (compressed NPZ), atomically; equal monitors give equal bytes.
 
     Raises:
         OSError: the file cannot be written.
@@ -228,7 +228,7 @@ def save_monitor(monitor: DeviationMonitor, path: str | Path) -> None:
 
 
 def load_monitor(path: str | Path) -> DeviationMonitor:
-    """Return the monitor in a file of :func:`save_monitor`; nothing is unpickled.
+    """Read a monitor that :func:`save_monitor` wrote; nothing is unpickled.
 
     Raises:
         ValueError: the file is no monitor, of another version, or damaged.

@@ -1,7 +1,4 @@
-"""What a monitor says of one sweep: two verdicts, the sectors and cells it suspects, and why.
-
-Suspect cells as polygons, for others to draw.
-"""
+"""A monitor's report on one sweep: two verdicts, suspect sectors and cells, and reasons; GeoJSON of suspect cells."""
 
 from __future__ import annotations
 
@@ -20,23 +17,23 @@ from viewshed.monitor.evidence.base import SECTORS, sector_of
 
 @dataclass(frozen=True, slots=True, eq=False)
 class IntegrityReport:
-    """Doubt about one sweep. A monitor reports doubt; what is done about it is for others to say.
+    """A monitor's report on one sweep. It only reports; reactions are decided elsewhere (``viewshed.pipeline``).
 
     Attributes:
-        monitor: who says so.
-        score: how doubtful the sweep is; larger is worse.
-        threshold: the sweep counts as inconsistent above it.
-        p_value: share of benign sweeps, this one among them, that score as high at least; NaN where the monitor keeps
-            no benign scores.
-        degraded: the view is less or worse than it should be, whatever the cause.
-        degraded_p_value: the same share for that verdict; NaN where the monitor does not give it.
-        suspect: (SECTORS,) bool, the sectors of azimuth that raise the doubt.
-        grid: where the suspect cells are, or None where no grid was at hand.
+        monitor: name of the monitor.
+        score: anomaly score; larger is worse.
+        threshold: the sweep is inconsistent if its score is above this.
+        p_value: share of benign sweeps, this one included, that score at least as high; NaN if the monitor keeps no
+            benign scores.
+        degraded: the view is smaller or worse than it should be, whatever the cause.
+        degraded_p_value: p-value of the degraded verdict; NaN if the monitor does not give one.
+        suspect: (SECTORS,) bool, suspect sectors of azimuth.
+        grid: of the suspect cells; None if no grid was given.
         suspect_cells: (cells, cells) bool on the grid; (0, 0) without one.
-        reasons: what speaks against the sweep, the strongest first; a sentence each.
-        notes: what the report could not rest on, and what was done instead; a sentence each.
-        evidence: (E, SECTORS) float32, how rare the change of each kind of evidence is in each sector; (0, SECTORS)
-            where the monitor looks at no evidence.
+        reasons: one sentence each, the strongest first.
+        notes: one sentence each: data that the report had to do without, and what was done instead.
+        evidence: (E, SECTORS) float32 surprise of each kind of evidence in each sector; (0, SECTORS) if the monitor
+            uses no evidence.
 
     Raises:
         ValueError: score or threshold is not a number, a p-value lies outside (0, 1], or a mask does not fit.
@@ -82,7 +79,7 @@ class IntegrityReport:
 
     @property
     def alarm(self) -> bool:
-        """The same as ``inconsistent``: only that is an alarm, for a degraded view has honest causes."""
+        """The same as ``inconsistent``; a degraded view alone is no alarm, because it has honest causes."""
         return self.inconsistent
 
     @property
@@ -92,7 +89,7 @@ class IntegrityReport:
 
 
 def cells_of_sectors(sectors: Mask, grid: BevGrid) -> Mask:
-    """Return the mask (cells, cells) of the cells whose centers lie in one of the sectors (SECTORS,) bool.
+    """Return the mask (cells, cells) of cells whose centers lie in one of the sectors (SECTORS,) bool.
 
     >>> front_left = np.zeros(SECTORS, np.bool_)
     >>> front_left[36:54] = True  # 0° to 90°
@@ -115,13 +112,13 @@ def sector_corners(sectors: Mask, reach_m: float) -> NDArray[np.float64]:
 
 
 def sectors_of_cells(cells: Mask, grid: BevGrid) -> Mask:
-    """Return the mask (SECTORS,) of the sectors that hold the center of one of the cells (cells, cells) bool."""
+    """Return the mask (SECTORS,) of sectors that contain the center of one of the cells (cells, cells) bool."""
     counts = np.bincount(sector_of(polar_of_cells(grid)[1][cells]), minlength=SECTORS)
     return counts > 0
 
 
 def suspects_geojson(report: IntegrityReport) -> bytes:
-    """Return a GeoJSON Feature in UTF-8: suspect cells as a MultiPolygon in ``level``, meters; score and alarm beside.
+    """Return a GeoJSON Feature (UTF-8) of the suspect cells: a MultiPolygon, with score and alarm as properties.
 
     Coordinates are meters in the ``level`` frame (x forward, y left), not degrees, as in the other exports.
 

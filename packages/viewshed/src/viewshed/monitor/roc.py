@@ -1,4 +1,4 @@
-"""How well a score tells attacked sweeps from benign ones: ROC, and its area with an interval."""
+"""ROC curve of a score that separates attacked from benign sweeps, its area (AUROC) and the interval of that."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from viewshed.monitor.calibration import checked_scores
 
 
 def roc_curve(benign: ArrayLike, attacked: ArrayLike) -> tuple[F64, F64, F64]:
-    """Return false alarms (K,), caught (K,) and limits (K,): shares of scores above each limit, from the highest.
+    """Return false-positive rates (K,), true-positive rates (K,) and limits (K,), from the highest limit down.
 
-    The limits are all scores that occur, and -∞ at the end.
+    The limits are all scores that occur, then -∞.
 
     >>> roc_curve([1, 2], [2, 3])
     (array([0. , 0. , 0.5, 1. ]), array([0. , 0.5, 1. , 1. ]), array([  3.,   2.,   1., -inf]))
@@ -41,12 +41,12 @@ def auroc_interval(
     Args:
         benign: (N,) scores.
         attacked: (M,) scores.
-        rng: draws the samples.
-        paired: benign[k] and attacked[k] are of one sample: samples are drawn, not scores.
-        draws: how many times.
+        rng: generator of the bootstrap samples.
+        paired: benign[k] and attacked[k] belong together: resample pairs, not scores.
+        draws: number of bootstrap samples.
 
     Raises:
-        ValueError: no scores, one is not a number, or pairs are not complete.
+        ValueError: there are no scores, one is not a number, or pairs are not complete.
     """
     false, true = checked_scores("benign", benign), checked_scores("attacked", attacked)
     if paired and len(false) != len(true):
@@ -62,12 +62,12 @@ def auroc_interval(
 
 
 def _paired_areas(wins: F64, weights: F64) -> F64:
-    """Return areas (draws,) of drawn samples: a sample drawn twice meets itself no more often than in the data."""
+    """Return areas (draws,) of resampled pairs; a pair drawn twice meets itself no more often than in the data."""
     own, count = np.diag(wins), len(wins)
     others = ((weights @ (wins - np.diag(own))) * weights).sum(axis=1)
-    met = 1.0 - (weights**2).sum(axis=1)
-    mean = others / np.maximum(met, 1e-300)
-    return np.where(met > 1e-12, ((count - 1) * mean + weights @ own) / count, weights @ own)
+    others_weight = 1.0 - (weights**2).sum(axis=1)
+    mean = others / np.maximum(others_weight, 1e-300)
+    return np.where(others_weight > 1e-12, ((count - 1) * mean + weights @ own) / count, weights @ own)
 
 
 def tpr_at_fpr(benign: ArrayLike, attacked: ArrayLike, rate: float) -> float:

@@ -1,4 +1,4 @@
-"""The monitor of streams: earlier sweeps of each agent are kept, and each sweep is judged by its own past."""
+"""Stream monitor: compares each sweep of an agent with the recent past of its own stream."""
 
 from __future__ import annotations
 
@@ -21,25 +21,25 @@ from viewshed.preprocess.leveling import LeveledSweep
 from viewshed.preprocess.streams import AGENTS, FORGET_S, remember, why_anew
 
 PER_HOUR = 6.0
-"""False alarms an hour that are asked for unless another number is given."""
+"""Default number of false alarms an hour."""
 
-ALONE = "one sweep cannot tell a forgery that keeps to the beams"
+SINGLE_SWEEP_NOTE = "one sweep cannot tell a forgery that keeps to the beams"
 
-LOOKED_SWEEPS = 20
-"""Sweeps of a stream after which evidence that looked at nothing yet is noted: the slowest needs a second."""
+SILENT_SWEEPS = 20
+"""Number of sweeps after which evidence that has always abstained is noted; the slowest kind needs a second."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StreamReport:
-    """Doubt about a stream, at one of its sweeps.
+    """Report on a stream at one of its sweeps.
 
     Attributes:
-        now: the report on the sweep.
-        alarm: whether the stream is to be doubted: from the first inconsistent sweep on, until enough were not.
-        delay_s: time since the alarm began, in seconds; 0 where there is none, or without times.
-        suspect: (SECTORS,) bool, where, of all sweeps of the alarm.
-        notes: what became of the stream: a sentence each.
-        doubtful_sweeps: sweeps of the alarm so far.
+        now: report on this sweep.
+        alarm: latched alarm: begins with an inconsistent sweep, ends after enough consistent ones.
+        delay_s: seconds since the alarm began; 0 without an alarm or without times.
+        suspect: (SECTORS,) bool, suspect sectors of all sweeps of the alarm.
+        notes: events of the stream, one sentence each.
+        doubtful_sweeps: number of sweeps of the alarm so far.
     """
 
     now: IntegrityReport
@@ -52,11 +52,11 @@ class StreamReport:
 
 @dataclass(slots=True)
 class EvidenceStream:
-    """The last sweeps of one stream, and what all evidence says of the next one against them.
+    """The last sweeps of one stream, against which all evidence of the next sweep is measured.
 
     Attributes:
-        jump_s: after a longer time without a sweep the next one is not compared with those before it: what appeared or
-            vanished meanwhile may have done so for a cause that nobody saw.
+        jump_s: after a longer gap the next sweep is not compared with earlier ones, because changes during the gap may
+            have honest causes.
     """
 
     jump_s: float = 0.5
@@ -65,28 +65,28 @@ class EvidenceStream:
     _last_ns: int | None = None
 
     def copy(self) -> EvidenceStream:
-        """Return a stream with the same past, which goes on by itself."""
+        """Return an independent copy."""
         return replace(self, _earlier=self._earlier.copy(), _memory=self._memory.copy())
 
     def why_anew(self, leveled: LeveledSweep) -> str:
-        """Return why the stream must begin anew with a sweep, in a sentence; empty where it goes on."""
+        """Return one sentence why the stream must restart at this sweep; empty if it continues."""
         return why_anew(self._last_ns, leveled.sweep.t_ns, FORGET_S)
 
     def gap_s(self, leveled: LeveledSweep) -> float:
-        """Return the time since the last sweep, in seconds, if the next one is not compared with it; 0 if it is."""
+        """Return the seconds since the last sweep if they exceed ``jump_s``, else 0."""
         now_ns = leveled.sweep.t_ns
         if self._last_ns is None or now_ns is None or not why_anew(self._last_ns, now_ns, self.jump_s):
             return 0.0
         return (now_ns - self._last_ns) * 1e-9
 
     def measure(self, leveled: LeveledSweep) -> F32:
-        """Return what all evidence says (E, SECTORS) of the next sweep."""
+        """Return all evidence (E, SECTORS) of the next sweep."""
         if self.gap_s(leveled):
             self._earlier.clear()
         return measure_all(MonitoredSweep(leveled, tuple(self._earlier), self._memory))
 
     def add(self, leveled: LeveledSweep, *, compared: bool = True) -> None:
-        """Remember a sweep; the next ones are compared with it if wanted."""
+        """Remember a sweep; later sweeps are compared with it only if ``compared``."""
         self._last_ns = leveled.sweep.t_ns
         if compared:
             self._earlier.append(leveled)
@@ -95,32 +95,32 @@ class EvidenceStream:
 
 @dataclass(slots=True)
 class _Agent:
-    """What is kept of one sensor of an agent."""
+    """State of one sensor of an agent."""
 
     stream: EvidenceStream
     watch: Watch
     state: SensorState = field(default_factory=SensorState)
     onset_ns: int | None = None
     sweeps: int = 0
-    silent: Mask = field(default_factory=lambda: np.ones(len(EVIDENCE), np.bool_))  # kinds that looked at nothing yet
+    silent: Mask = field(default_factory=lambda: np.ones(len(EVIDENCE), np.bool_))  # kinds that always abstained
 
 
 @dataclass(slots=True)
 class StreamMonitor:
-    """Checks the sweeps of a stream in the order of time, of any number of agents.
+    """Checks the sweeps of any number of agents, each in temporal order.
 
-    Each sensor of an agent that ``Sweep.model`` names is a stream of its own. A stream begins anew, without a past and
-    without an alarm, where its time goes back, repeats or jumps; the report says so. Whoever can forge times can make
-    it forget: who trusts no clock should take such a note for an alarm.
+    Each sensor of an agent that ``Sweep.model`` names is a stream of its own. A stream restarts without past and alarm
+    when its time goes back, repeats or jumps; the report notes that. An attacker who can forge time stamps can force a
+    restart, so if you do not trust the clock, treat that note as an alarm.
 
     Attributes:
-        calibration: says how rare a change is, and which limit a rate needs; the shipped one unless given.
-        per_hour: expected false alarms an hour.
-        jump_s: see :class:`EvidenceStream`; after ``FORGET_S`` without a sweep a stream begins anew.
-        agents: how many streams are kept; of more the one that was seen longest ago is dropped.
+        calibration: rarity of benign changes, and the limit for a rate; the shipped one by default.
+        per_hour: expected number of false alarms an hour.
+        jump_s: see :class:`EvidenceStream`; after ``FORGET_S`` without a sweep a stream restarts.
+        agents: maximum number of streams kept; beyond it the least recently seen one is dropped.
 
     Raises:
-        ValueError: a number is not positive, or no agent may be kept.
+        ValueError: a number is not positive, or ``agents`` is below 1.
     """
 
     calibration: Calibration = field(default_factory=shipped_calibration)
@@ -139,70 +139,70 @@ class StreamMonitor:
 
     @classmethod
     def of_file(cls, path: str | Path, per_hour: float | None = None) -> StreamMonitor:
-        """Return the monitor of a file of ``viewshed monitor calibrate``, at the file's rate unless another is given.
+        """Return the monitor in a file of ``viewshed monitor calibrate``; ``per_hour`` overrides the file's rate.
 
         Raises:
-            ValueError: the file is none, of other evidence, or damaged.
+            ValueError: the file is no monitor, of other evidence, or damaged.
             OSError: it cannot be read.
         """
         calibration = load_calibration(path)
         return cls(calibration, float(calibration.facts.get("per_hour", PER_HOUR)) if per_hour is None else per_hour)
 
     def fresh(self) -> StreamMonitor:
-        """Return a monitor like this one, without any sweep."""
+        """Return a monitor with the same settings and no sweeps."""
         return replace(self)
 
     def check(self, leveled: LeveledSweep, grid: BevGrid | None = None) -> StreamReport:
-        """Return what the monitor says of the next sweep of an agent, and keep the sweep.
+        """Return the report on the next sweep of an agent, and remember the sweep.
 
         Args:
             leveled: the sweep; it may be empty.
-            grid: on which the report marks suspect cells.
+            grid: grid of the report's suspect cells.
         """
         key, now_ns = self._key_of(leveled), leveled.sweep.t_ns
-        # 1. Does the stream go on?
+        # 1. Continue or restart the stream.
         agent = self._agents.get(key)
         note = "" if agent is None else agent.stream.why_anew(leveled)
         if agent is None or note:
             agent = _Agent(EvidenceStream(self.jump_s), Watch(self.calibration, self.limit))
         gap_s = agent.stream.gap_s(leveled)
-        # 2. The evidence of the sweep, against the past of the stream; and what is impossible without any past.
+        # 2. Evidence against the past of the stream, and impossible sweeps, which need no past.
         evidence = agent.stream.measure(leveled)
         impossible = impossible_reasons(leveled)
         verdict = agent.watch.check(evidence, impossible=bool(impossible))
         degraded = agent.state.check(leveled, evidence)
         agent.sweeps, agent.silent = agent.sweeps + 1, agent.silent & ~np.isfinite(evidence).any(axis=1)
-        lacks = self._lacks(agent, leveled, gap_s)
-        # 3. What is remembered: sweeps that do not fit are no past, until the world seems to have changed.
+        limitations = self._limitations(agent, leveled, gap_s)
+        # 3. Remember the sweep; inconsistent ones are not compared with, unless the alarm lasts.
         fits = not verdict.inconsistent or (verdict.sweeps > EARLIER_SWEEPS and not impossible)
         agent.stream.add(leveled, compared=fits)
         agent.onset_ns = now_ns if verdict.sweeps <= 1 else agent.onset_ns
         remember(self._agents, key, agent, self.agents)
         delay_s = 0.0 if now_ns is None or agent.onset_ns is None else (now_ns - agent.onset_ns) * 1e-9
-        now = self._report(verdict, impossible, degraded, evidence, grid, lacks)
+        now = self._report(verdict, impossible, degraded, evidence, grid, limitations)
         notes = (note,) if note else ()
         return StreamReport(now, verdict.alarm, delay_s, verdict.suspect, notes, verdict.sweeps)
 
     def _key_of(self, leveled: LeveledSweep) -> tuple[str, str]:
-        """Return agent and sensor of a sweep; one that names no sensor is of the last one of its agent.
+        """Return agent and sensor of a sweep; a sweep that names no sensor belongs to its agent's last one.
 
-        What is only identified by the points is no name of a sensor: an attack may change it.
+        A sensor that is only identified from the points does not count, because an attack may change it.
         """
         agent, model = leveled.sweep.agent, leveled.sweep.model
         if model is not None:
             return agent, model.name
         return next((key for key in reversed(self._agents) if key[0] == agent), (agent, ""))
 
-    def _lacks(self, agent: _Agent, leveled: LeveledSweep, gap_s: float) -> tuple[str, ...]:
-        """Return what a report does not rest on, a sentence each: of the stream once, and of a gap before the sweep."""
+    def _limitations(self, agent: _Agent, leveled: LeveledSweep, gap_s: float) -> tuple[str, ...]:
+        """Return one sentence for each limitation of a report: of the stream (once), and of a gap before the sweep."""
         notes = [f"the last sweep is {gap_s:.1f} s old: it is not compared"] if gap_s else []
-        least = self.calibration.least_per_hour
-        if agent.sweeps == 1 and self.per_hour < least * (1.0 - 1e-9):
-            notes.append(f"{self.per_hour:g} false alarms an hour are an extrapolation: the drives support {least:.2g}")
-        if agent.sweeps == LOOKED_SWEEPS and agent.silent.any():
+        rate = self.calibration.least_per_hour
+        if agent.sweeps == 1 and self.per_hour < rate * (1.0 - 1e-9):
+            notes.append(f"{self.per_hour:g} false alarms an hour are an extrapolation: the drives support {rate:.2g}")
+        if agent.sweeps == SILENT_SWEEPS and agent.silent.any():
             has_rings = leveled.range_image is not None and leveled.sensor_id.layout is None
-            missing = (("poses", leveled.sweep.world_from_sensor is not None), ("rings", has_rings))
-            words = " or ".join(word for word, is_there in missing if not is_there)
+            inputs = (("poses", leveled.sweep.world_from_sensor is not None), ("rings", has_rings))
+            words = " or ".join(name for name, is_given in inputs if not is_given)
             if words:
                 count = int(agent.silent.sum())
                 look = "looks" if count == 1 else "look"
@@ -211,7 +211,7 @@ class StreamMonitor:
 
     def _report(
         self, verdict: Verdict, impossible: tuple[str, ...], degraded: tuple[str, ...], evidence: F32,
-        grid: BevGrid | None, lacks: tuple[str, ...],
+        grid: BevGrid | None, limitations: tuple[str, ...],
     ) -> IntegrityReport:  # fmt: skip
         """Return the report on one sweep; its reasons are the rarest changes, the rarest first."""
         surprises = np.nan_to_num(verdict.sectors).max(axis=1)
@@ -220,19 +220,20 @@ class StreamMonitor:
         rare = order[: max(int((surprises >= RARE).sum()), int(verdict.inconsistent))]
         changed = tuple(kinds[k].reason(evidence[k]) for k in rare if np.isfinite(evidence[k]).any())
         suspect = verdict.suspect if verdict.inconsistent else np.zeros(SECTORS, np.bool_)
-        alone = bool(np.isnan(verdict.score))
-        score = 0.0 if alone else verdict.score
+        has_no_past = bool(np.isnan(verdict.score))
+        score = 0.0 if has_no_past else verdict.score
         score = max(score, self.limit + 1.0) if impossible else score
-        # No p-value without a past, or where all evidence abstains.
+        # No p-value without a past, or if all evidence abstains.
         p_value = np.nan if np.isnan(verdict.sectors).all() else self.calibration.p_value(verdict.score)
         return IntegrityReport(
             NAME, score, self.limit, p_value, bool(degraded), suspect=suspect, grid=grid,
             suspect_cells=np.zeros((0, 0), np.bool_) if grid is None else cells_of_sectors(suspect, grid),
             reasons=(*impossible, *degraded, *(changed if verdict.inconsistent else ())),
-            notes=(*(() if impossible or not alone else (ALONE,)), *lacks), evidence=verdict.sectors,
+            notes=(*((SINGLE_SWEEP_NOTE,) if has_no_past and not impossible else ()), *limitations),
+            evidence=verdict.sectors,
         )  # fmt: skip
 
     def reset(self, agent: str | None = None) -> None:
-        """Forget an agent with all its sensors, or all: its streams begin anew."""
+        """Forget one agent with all its sensors, or all agents."""
         for key in [key for key in self._agents if agent in (None, key[0])]:
             del self._agents[key]

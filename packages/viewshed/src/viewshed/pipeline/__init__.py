@@ -1,4 +1,4 @@
-"""Pipeline: sweeps in, estimates with their reports and reactions out, in real time."""
+"""Real-time pipeline: takes sweeps, returns estimates with integrity reports and reactions."""
 
 from __future__ import annotations
 

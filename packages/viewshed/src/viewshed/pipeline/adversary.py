@@ -1,4 +1,4 @@
-"""Adversary: what a stream requires of who forges it; the laboratory has those of the package."""
+"""Interface of adversaries that tamper with a stream; package viewshed-lab has implementations."""
 
 from __future__ import annotations
 
@@ -11,32 +11,32 @@ from viewshed.sweep import Sweep
 
 
 class Adversary(Protocol):
-    """Forges what some agents of a stream send; the rest passes as it is.
+    """Tampers with what some agents of a stream send and passes on the rest unchanged.
 
-    Installed packages bring them by entry points ``viewshed.adversaries``.
+    Installed packages provide adversaries by entry points ``viewshed.adversaries``.
     """
 
     @property
     def agents(self) -> frozenset[str]:
-        """Names of those that are attacked; all where none is named."""
+        """Names of the attacked agents; empty means all."""
         ...
 
     def attacks(self, agent: str) -> bool:
-        """Return whether an agent is one of those that are attacked."""
+        """Return whether an agent is attacked."""
         ...
 
     def unmet(self) -> frozenset[str]:
-        """Return the names of those attacked agents that were not heard of."""
+        """Return the names of attacked agents from which nothing was received."""
         ...
 
     def sweep(self, sweep: Sweep) -> Sweep:
-        """Return a sweep as the adversary lets others see it."""
+        """Return the sweep that others receive."""
         ...
 
     def detections(self, leveled: LeveledSweep, detections: Detections) -> Detections:
-        """Return the detections of a sweep as the adversary lets others see them."""
+        """Return the detections of a sweep that others receive."""
         ...
 
     def view(self, estimate: FovEstimate) -> FovEstimate:
-        """Return a field of view as the adversary lets others see it."""
+        """Return the field of view that others receive."""
         ...

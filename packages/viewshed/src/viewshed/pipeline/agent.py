@@ -1,4 +1,4 @@
-"""What a pipeline remembers of each agent and answers it, and who has a place in it."""
+"""A pipeline's state and answers for each agent, and the bounded table of agents."""
 
 from __future__ import annotations
 
@@ -24,78 +24,78 @@ if TYPE_CHECKING:  # tracks need scipy, which a robot that tracks nothing does w
     from viewshed.objects.object_stream import ObjectStream, SeenObjects
 
 UNHEARD_S = 10.0
-"""An agent that was not heard for this time gives up its place in a stream."""
+"""An agent without a sweep for this long can be replaced by a new agent."""
 
-_LONGEST_PERIOD_S = 1.0
-"""Of sweeps whose view is stale after two periods; a slower sensor needs a larger ``stale_after_s``."""
+_MAX_PERIOD_S = 1.0
+"""Maximum period used for staleness (two periods); a slower sensor needs a larger ``stale_after_s``."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Answer:
-    """What became of one sweep; or, with STALE caution and a number that was answered before, that none came since."""
+    """The answer to one sweep; or, with STALE caution and a repeated number, notice that no newer sweep came."""
 
-    agent: str  # whose it was
-    number: int  # of the sweep among all that were put in, from 0
-    leveled: LeveledSweep | None  # the sweep; None where it could not be decoded
-    estimate: FovEstimate | None  # what it sees, without what the reaction withdraws; None where it could not be had
-    report: StreamReport | None  # what the monitor says; None without one, or without an estimate
+    agent: str  # name of the agent
+    number: int  # of the sweep in order of :meth:`Pipeline.put`, from 0
+    leveled: LeveledSweep | None  # the sweep; None if it could not be decoded
+    estimate: FovEstimate | None  # field of view after the reaction withdrew cells; None if it failed
+    report: StreamReport | None  # the monitor's report; None without a monitor or an estimate
     reaction: ReactionState  # how far the view is trusted
-    # from which a vehicle stops within what is seen free ahead of it; 0 without an estimate, or if STALE
+    # speed from which a vehicle can stop within the free cells ahead; 0 without an estimate, or if STALE
     speed_mps: float
-    notes: tuple[str, ...]  # what was noticed on the way (a clock that jumps, say), a sentence each
-    refused: str  # why there is no estimate; empty where there is one
+    notes: tuple[str, ...]  # events such as a clock that jumps, one sentence each
+    refused: str  # why there is no estimate; empty if there is one
     latency_s: float  # from putting the sweep in to its answer
-    # detections and explained tracks, by the estimate before anything was withdrawn; None where they are not wanted, or
-    # failed: a note says why
+    # detections and explained tracks, from the estimate before cells were withdrawn; None if not requested or failed
+    # (a note says why)
     objects: SeenObjects | None = None
     # when the sweep was put in, on the clock of :func:`time.perf_counter`
     put_s: float = field(default_factory=time.perf_counter)
 
     @property
     def age_s(self) -> float:
-        """Seconds since the sweep was put in, whatever its own clock says."""
+        """Seconds since the sweep was put in, independent of the sweep's own clock."""
         return time.perf_counter() - self.put_s
 
 
 @dataclass(slots=True, eq=False)
 class Agent:
-    """What a pipeline remembers of an agent; each step of the pipeline changes what it alone uses."""
+    """A pipeline's state for one agent. Each stage of the pipeline changes only its own fields."""
 
-    name: str  # of the agent
-    heard_s: float = 0.0  # when it was heard last
-    history: SweepBuffer | None = None  # its earlier sweeps that help an estimate; None for none
-    monitor: StreamMonitor | None = None  # what watches its sweeps, or None
-    objects: ObjectStream | None = None  # what follows its objects, or None
-    last_ns: int | None = None  # time of its last sweep
-    sensor: SensorId = UNIDENTIFIED  # what was identified of its last sweep, which is looked at first
-    rest: Rest = field(default_factory=Rest)  # what it holds while it stands still, without poses
+    name: str
+    heard_s: float = 0.0  # time of its last sweep in the inbox
+    history: SweepBuffer | None = None  # earlier sweeps for the estimator, or None
+    monitor: StreamMonitor | None = None
+    objects: ObjectStream | None = None  # detector and tracker, or None
+    last_ns: int | None = None  # time stamp of its last sweep
+    sensor: SensorId = UNIDENTIFIED  # sensor identified in its last sweep, tried first for the next one
+    rest: Rest = field(default_factory=Rest)  # ground held while it stands still without poses
     reaction: ReactionState = field(default_factory=ReactionState)  # the last one
-    newest: Answer | None = None  # its newest answer
-    seen_s: float = math.inf  # when the sweep of its newest estimate was put in; inf where there is none yet
-    # when its last sweeps with an answer were put in
+    newest: Answer | None = None
+    seen_s: float = math.inf  # when the sweep of its newest estimate was put in; inf without one
+    # when its last answered sweeps were put in
     puts_s: deque[float] = field(default_factory=lambda: deque(maxlen=6))
 
     @property
     def period_s(self) -> float:
-        """Median time between its sweeps; 0 where it is not known yet."""
-        apart_s = [after_s - before_s for before_s, after_s in pairwise(self.puts_s.copy())]
-        return min(median(apart_s), _LONGEST_PERIOD_S) if apart_s else 0.0
+        """Median time between its sweeps, at most 1 s; 0 if unknown."""
+        intervals_s = [after_s - before_s for before_s, after_s in pairwise(self.puts_s.copy())]
+        return min(median(intervals_s), _MAX_PERIOD_S) if intervals_s else 0.0
 
     @property
     def age_s(self) -> float:
-        """Seconds since the sweep of its newest view was put in; -inf where there is none yet."""
+        """Seconds since the sweep of its newest view was put in; -inf without one."""
         return time.perf_counter() - self.seen_s
 
     @property
     def stale_note(self) -> str:
-        """The report on a view that is too old."""
+        """Note that the newest view is too old."""
         return f"the newest view is {self.age_s:.2g} s old: nothing is claimed"
 
     def time_note(self, t_ns: int | None) -> str:
-        """Return why its stream begins anew with a sweep, in a sentence; empty where it goes on.
+        """Return one sentence why its stream restarts at this sweep; empty if it continues.
 
         Raises:
-            ValueError: the time is that of the sweep before.
+            ValueError: the time equals that of the last sweep.
         """
         if t_ns is None:
             return ""
@@ -106,25 +106,24 @@ class Agent:
 
 
 class Agents(OrderedDict[str, Agent]):
-    """The agents that have a place in a stream, by name, the longest unheard one first.
+    """The agents of a stream by name, the least recently heard first; at most ``AGENTS``.
 
-    Each has it from its first sweep on. Where there is none left a new one is refused, so that a flood of names holds
-    no memory and takes nobody's place.
+    A new agent is refused while the table is full, so that a flood of names neither uses memory nor evicts anyone.
 
     Attributes:
-        refused: sweeps of agents that had no place.
+        refused: number of sweeps refused because the table was full.
     """
 
     refused = 0
 
     def heard(self, name: str, now_s: float, begin: Callable[[str], Agent], waiting: Container[str]) -> Agent | None:
-        """Return an agent that is heard now; None, and counted, where there is no place for it.
+        """Return the agent of a sweep that arrives now; count it as refused and return None if the table is full.
 
         Args:
             name: of the agent.
-            now_s: seconds of a clock that never goes back.
-            begin: returns a new agent.
-            waiting: agents with something waiting; of these none gives up its place.
+            now_s: seconds of a monotonic clock.
+            begin: creates a new agent.
+            waiting: agents with queued sweeps, which are not evicted.
         """
         if name not in self and len(self) >= AGENTS:
             unheard = next((agent for agent in self.values() if agent.name not in waiting), None)

@@ -1,4 +1,4 @@
-"""Which sweeps are wanted, and where they wait for their turn: few of each agent, and none waits longer than others."""
+"""Bounded, fair queue of sweeps by agent, and a rate limit."""
 
 from __future__ import annotations
 
@@ -13,34 +13,34 @@ Item = TypeVar("Item")
 
 
 class Inbox(Generic[Item]):
-    """A bounded queue by agent, between one thread that puts and one that takes.
+    """A bounded queue for each agent, between one producer thread and one consumer thread.
 
-    The agents take turns: next is the one that has waited longest since it was served, or since it came.
+    Round robin: next is the agent that has waited longest since it was served, or since its first item.
 
     Args:
-        waiting: items of an agent that may wait; of more the oldest is dropped and counted.
-        lossless: wait for room instead of dropping: for files, which can wait.
+        waiting: queue size of each agent; beyond it the oldest item is dropped and counted.
+        lossless: block :meth:`put` instead of dropping; for files.
 
     Raises:
-        ValueError: nothing may wait.
+        ValueError: ``waiting`` is below 1.
     """
 
     def __init__(self, waiting: int = 1, *, lossless: bool = False) -> None:
         if waiting < 1:
             raise ValueError(f"waiting must be 1 or more, got {waiting}")
         self._waiting, self._lossless = waiting, lossless
-        self._items: OrderedDict[str, deque[Item]] = OrderedDict()  # agents with something waiting, the next one first
+        self._items: OrderedDict[str, deque[Item]] = OrderedDict()  # queues that are not empty, the next one first
         self._changed = Condition()
         self._closed = False
         self.dropped = 0
-        """Items that were dropped for newer ones, or came after it was closed."""
+        """Number of items replaced by newer ones, or put after :meth:`close`."""
 
     def __contains__(self, agent: object) -> bool:
-        """Return whether an agent has something waiting."""
+        """Return whether an agent has queued items."""
         return agent in self._items
 
     def put(self, agent: str, item: Item) -> None:
-        """Add an item of an agent; what is put after :meth:`close` is dropped."""
+        """Add an item of an agent; items put after :meth:`close` are dropped."""
         with self._changed:
             if self._lossless:
                 self._changed.wait_for(lambda: self._closed or len(self._items.get(agent, ())) < self._waiting)
@@ -55,7 +55,7 @@ class Inbox(Generic[Item]):
             self._changed.notify_all()
 
     def take(self) -> Item | None:
-        """Wait for the next item and return it; None when the inbox was closed and is empty."""
+        """Wait for the next item and return it; None once the inbox is closed and empty."""
         with self._changed:
             self._changed.wait_for(lambda: self._closed or self._items)
             if not self._items:
@@ -69,7 +69,7 @@ class Inbox(Generic[Item]):
             return item
 
     def close(self) -> None:
-        """Take nothing more; what waits is still handed out."""
+        """Accept no more items; queued ones can still be taken."""
         with self._changed:
             self._closed = True
             self._changed.notify_all()
@@ -77,19 +77,19 @@ class Inbox(Generic[Item]):
 
 @dataclass(slots=True)
 class RateLimit:
-    """Leaves out sweeps that come sooner after the one before of their agent than a rate allows."""
+    """Drops sweeps that exceed a rate for their agent."""
 
-    rate_hz: float  # sweeps of an agent that are wanted in a second of their own time; 0 for all
+    rate_hz: float  # maximum sweeps of an agent per second of their own time stamps; 0 for all
     _last_ns: dict[str, int] = field(default_factory=dict, repr=False)
 
     def takes(self, agent: str, t_ns: int | None) -> bool:
-        """Return whether a sweep is wanted; one without a time is, and so is one whose time goes back."""
+        """Return whether to keep a sweep; always if it has no time or its time goes back."""
         if t_ns is None:
             return True
-        # A tenth sooner is no sooner: sensors do not keep time to the microsecond.
-        least_ns = 0.9e9 / self.rate_hz if self.rate_hz else 0.0
+        # Tolerance of 10 % for jitter of the sensor's period.
+        min_gap_ns = 0.9e9 / self.rate_hz if self.rate_hz else 0.0
         before_ns = self._last_ns.get(agent)
-        if before_ns is not None and 0 < t_ns - before_ns < least_ns:
+        if before_ns is not None and 0 < t_ns - before_ns < min_gap_ns:
             return False
         remember(self._last_ns, agent, t_ns)
         return True

@@ -1,4 +1,4 @@
-"""What holds for a whole process that runs pipelines, and so is not set by the pipelines themselves."""
+"""Settings of a process that runs pipelines; an application sets them, pipelines do not."""
 
 from __future__ import annotations
 
@@ -7,21 +7,21 @@ import sys
 from contextlib import suppress
 
 SWITCH_INTERVAL_S = 0.0005
-"""At Python's usual 5 ms a pipeline's threads wait longer for each other than they work."""
+"""With Python's default of 5 ms a pipeline's threads wait longer for each other than they work."""
 
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD, _M_ARENA_MAX = -1, -3, -8
-"""Of glibc's ``mallopt``."""
+"""Parameters of glibc's ``mallopt``."""
 
 _KEPT_BYTES, _MAPPED_BYTES = 256 << 20, 32 << 20
-"""Free memory that stays with the process, and the least block that comes from the system and goes back to it."""
+"""Free memory kept by the process, and the minimum size of blocks that are mapped and unmapped individually."""
 
 
 def prepare_process() -> None:
-    """Let Python's threads take turns every half millisecond, and all of them allocate from one heap that is kept.
+    """Set Python's switch interval to 0.5 ms, and make glibc use a single heap that keeps its memory.
 
-    With a heap for each thread, memory grows by some ten megabytes as pipelines come and go: each new thread inherits a
-    heap that had other work before. A heap that gives memory back after each sweep takes it page by page for the next:
-    500 page faults a sweep, a tenth of its time. Where there is no glibc, heaps stay as they are.
+    With one heap per thread, memory grows by some ten megabytes as pipelines start and stop, because each new thread
+    inherits a heap that served other work. A heap that returns memory after each sweep costs 500 page faults a sweep, a
+    tenth of its time. Without glibc, heaps are not changed.
 
     >>> prepare_process()
     >>> sys.getswitchinterval()

@@ -1,4 +1,4 @@
-"""Profiles: the settings of a pipeline, by what it is for."""
+"""Profiles: pipeline settings by use case."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ class Profile:
         ValueError: a number is negative.
     """
 
-    method: str | None  # name of an estimator; None for the usual one
+    method: str | None  # name of an estimator; None for the default
     grid: str  # name in :data:`viewshed.grid.GRIDS`
-    history: int  # earlier sweeps of a sensor that help, where poses are known
-    monitor: bool  # whether the stream is watched
+    history: int  # number of earlier sweeps of a sensor to use, if poses are known
+    monitor: bool  # whether a monitor checks the stream
     rules: ReactionRules  # how caution rises and falls
-    rate_hz: float  # sweeps of a sensor that are estimated in a second; 0 for all of them
-    certify: Threat | None = None  # the threat whose certificate an alarm falls back to; None for none
+    rate_hz: float  # maximum sweeps of a sensor to estimate in a second; 0 for all
+    certify: Threat | None = None  # threat for which claims are certified, to keep them in an alarm; None for none
 
     def __post_init__(self) -> None:
         if self.history < 0 or not self.rate_hz >= 0.0:
@@ -43,18 +43,18 @@ PROFILES = {
         certify=Threat("window", 5),
     ),
 }
-"""``robot``: a small vehicle among people, fine cells around it, no more work than its sensor's usual 10 Hz.
-``infrastructure``: a sensor on a pole, whose own pose tells nothing new; calm returns slowly.
-``mapping``: probabilities of every sweep, helped by earlier ones; nobody reacts.
-``contested``: somebody may be lying: earlier sweeps confirm claims, caution rises at once and falls after 50 sweeps,
-and what no five replaced beams at a target can have opened stays claimed."""
+"""``robot``: a small vehicle among people; fine cells, at most 10 Hz.
+``infrastructure``: a fixed sensor on a pole, whose pose adds no information; caution falls slowly.
+``mapping``: probabilities of every sweep, using earlier ones; no monitor and no reactions.
+``contested``: attacks are expected: earlier sweeps confirm claims, caution rises at once and falls after 50 sweeps, and
+claims stay that five replaced beams at a target cannot have opened."""
 
 
 def profile_named(name: str) -> Profile:
-    """Return the profile of a name.
+    """Return the profile with this name.
 
     Raises:
-        ValueError: there is none of this name.
+        ValueError: there is none.
     """
     if name not in PROFILES:
         raise ValueError(f"profile must be one of {', '.join(PROFILES)}, got {name!r}")

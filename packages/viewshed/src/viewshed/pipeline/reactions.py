@@ -1,8 +1,8 @@
-"""What follows from what a monitor finds: which claims still hold, whom to ask, how fast to drive.
+"""Reactions to a monitor's findings: which claims to withdraw, whether to query other agents, how fast to drive.
 
-A pure function from finding and state to the next state (:func:`react`), and what its caution does to an estimate
-(:func:`withdraw`) and to the speed (:func:`speed_for_view`). Caution rises at once and falls by one step after some
-calm sweeps in a row, so that between two rises to the same step there are always more sweeps than that.
+:func:`react` is a pure function from finding and state to the next state. Its caution determines which claims
+:func:`withdraw` removes; :func:`speed_for_view` gives the speed for the rest. Caution rises at once and falls by one
+step after ``recover_sweeps`` calm sweeps in a row.
 """
 
 from __future__ import annotations
@@ -23,32 +23,32 @@ from viewshed.monitor.report import cells_of_sectors
 
 
 class Caution(IntEnum):
-    """How far the view is trusted; each step claims no more than the one before."""
+    """How far the view is trusted; each step claims no more than the step below it."""
 
     KEEP = 0
     """Every claim holds."""
     ASK = 1
     """The view is worse than usual: every claim holds; other agents are queried."""
     WIDEN = 2
-    """Something is impossible, and it is known where: the suspect sectors, and those beside them, are UNKNOWN. After an
-    alarm of unknown place, what no earlier sweep confirms stays UNKNOWN on this step as well."""
+    """The stream is inconsistent in known sectors: these and their neighbors are UNKNOWN. After an alarm without known
+    sectors, cells that no earlier sweep confirms stay UNKNOWN too."""
     CONFIRMED = 3
-    """It is impossible in more than half of all sectors, or at an unknown place: what no earlier sweep confirms is
-    UNKNOWN as well."""
+    """It is inconsistent in more than half of all sectors, or in unknown ones: cells that no earlier sweep confirms are
+    UNKNOWN too."""
     STALE = 4
     """The newest sweep or pose is too old: nothing is claimed, and the vehicle stops."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Finding:
-    """What was found in one sweep, as far as reactions need it."""
+    """Findings on one sweep, the input of :func:`react`."""
 
-    degraded: bool = False  # the view is worse than usual, there is none, or an object of it is suspicious
-    inconsistent: bool = False  # something is impossible in this sweep, or in the stream
-    accused: bool = False  # a center of many agents accuses this one: nothing of its view holds that it alone saw now
-    # (SECTORS,) bool, where; nowhere where that is not known
+    degraded: bool = False  # the view is worse than usual or missing, or an object in it is suspicious
+    inconsistent: bool = False  # the sweep or its stream is inconsistent
+    accused: bool = False  # a center of many agents accuses this one: only claims confirmed by earlier sweeps hold
+    # (SECTORS,) bool, inconsistent sectors; none if they are not known
     suspect: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(SECTORS, np.bool_))
-    stale: bool = False  # the view is too old to be claimed, whatever else was found in it
+    stale: bool = False  # the view is too old to be claimed, whatever the other findings
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,9 +59,9 @@ class ReactionRules:
         ValueError: a number is out of range.
     """
 
-    recover_sweeps: int = 10  # calm sweeps in a row after which caution falls by one step
-    widen_sectors: int = 1  # sectors on both sides of a suspect one that are not trusted either
-    most_suspect: float = 0.5  # share of all sectors that may be suspect while the others are still trusted
+    recover_sweeps: int = 10  # consecutive calm sweeps after which caution falls by one step
+    widen_sectors: int = 1  # number of sectors on either side of a suspect one that are not trusted either
+    most_suspect: float = 0.5  # maximum share of suspect sectors at which the others are still trusted
 
     def __post_init__(self) -> None:
         if self.recover_sweeps < 1 or self.widen_sectors < 0 or not 0.0 <= self.most_suspect <= 1.0:
@@ -72,42 +72,42 @@ class ReactionRules:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReactionState:
-    """What is remembered from sweep to sweep."""
+    """State of the reactions between sweeps."""
 
-    caution: Caution = Caution.KEEP  # now
-    calm: int = 0  # sweeps in a row that ask for less caution
+    caution: Caution = Caution.KEEP  # current caution
+    calm: int = 0  # consecutive sweeps that require less caution
     # (SECTORS,) bool, sectors of all alarms since caution was last below WIDEN
     suspect: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(SECTORS, np.bool_))
-    unplaced: bool = False  # whether one of these alarms had no known place
-    of_sweeps: Caution = Caution.KEEP  # caution that the sweeps ask for, whatever their age, where ``caution`` is STALE
+    unplaced: bool = False  # whether one of these alarms had no known sectors
+    of_sweeps: Caution = Caution.KEEP  # caution by the findings alone, kept while ``caution`` is STALE
 
 
 RULES = ReactionRules()
 
 
-def react(found: Finding, state: ReactionState, rules: ReactionRules = RULES) -> ReactionState:
-    """Return the state after what was found in the next sweep.
+def react(finding: Finding, state: ReactionState, rules: ReactionRules = RULES) -> ReactionState:
+    """Return the next state after the finding on a sweep.
 
-    A stale view is degraded as well: with the next fresh one caution is what it was before, but ASK at least.
+    A stale view also counts as degraded: after it, caution returns to what it was before, but at least ASK.
     """
     before = state.of_sweeps if state.caution == Caution.STALE else state.caution
     suspect, unplaced = (
         (state.suspect, state.unplaced) if before >= Caution.WIDEN else (np.zeros(SECTORS, np.bool_), False)
     )
-    if found.inconsistent:
-        suspect = suspect | found.suspect
-        is_known_where = found.suspect.any() and not found.accused
-        unplaced = unplaced or not is_known_where
+    if finding.inconsistent:
+        suspect = suspect | finding.suspect
+        is_placed = finding.suspect.any() and not finding.accused
+        unplaced = unplaced or not is_placed
         is_narrow = suspect.mean() <= rules.most_suspect
-        wanted = Caution.WIDEN if is_known_where and is_narrow else Caution.CONFIRMED
+        required = Caution.WIDEN if is_placed and is_narrow else Caution.CONFIRMED
     else:
-        wanted = Caution.ASK if found.degraded or found.stale else Caution.KEEP
-    # Caution rises at once, and falls by one step after enough calm sweeps in a row; a stale one is not calm.
-    caution, calm = wanted, 0
-    if wanted < before:
-        calm = 0 if found.stale else state.calm + 1
+        required = Caution.ASK if finding.degraded or finding.stale else Caution.KEEP
+    # Caution rises at once and falls by one step after enough calm sweeps in a row; a stale one is not calm.
+    caution, calm = required, 0
+    if required < before:
+        calm = 0 if finding.stale else state.calm + 1
         caution, calm = (Caution(before - 1), 0) if calm >= rules.recover_sweeps else (before, calm)
-    return ReactionState(Caution.STALE if found.stale else caution, calm, suspect, bool(unplaced), caution)
+    return ReactionState(Caution.STALE if finding.stale else caution, calm, suspect, bool(unplaced), caution)
 
 
 def withdraw(
@@ -119,16 +119,16 @@ def withdraw(
     *,
     certified_only: bool = False,
 ) -> FovEstimate:
-    """Return an estimate without what does not hold: these cells are UNKNOWN, whatever they were.
+    """Return an estimate whose withdrawn cells are UNKNOWN, whatever their state was.
 
     Args:
-        estimate: what was estimated.
+        estimate: of the sweep.
         state: after the sweep.
-        confirmed: (cells, cells) bool, what earlier sweeps saw as well; None where there are none: nothing is.
-        rules: how many sectors beside a suspect one are not trusted.
-        certified: (cells, cells) bool, the claims that no attack of the certificate's threat can have opened
-            (:mod:`viewshed.guarantees.certificate`): they stay whatever is found, until the view is stale. None: none.
-        certified_only: whether no other claim holds, be there an alarm or not.
+        confirmed: (cells, cells) bool, claims confirmed by earlier sweeps; None means none.
+        rules: number of neighboring sectors that are not trusted.
+        certified: (cells, cells) bool, claims that no attack of the certificate's threat can have opened
+            (:mod:`viewshed.guarantees.certificate`): they stay until the view is stale. None means none.
+        certified_only: withdraw all other claims, even without an alarm.
     """
     if certified_only:
         estimate = without(estimate, estimate.visible() if certified is None else estimate.visible() & ~certified)
@@ -150,16 +150,16 @@ def withdraw(
 
 @dataclass(frozen=True, slots=True)
 class Vehicle:
-    """How a vehicle stops; a car unless its own numbers are given.
+    """Braking model of a vehicle; the defaults are a car's.
 
     Raises:
         ValueError: a number is out of range.
     """
 
-    front_m: float = 4.0  # from the sensor to the front of the vehicle; what lies nearer need not be seen
-    half_width_m: float = 1.25  # half of the width of the lane that must be free
-    delay_s: float = 0.5  # until the brakes act
-    braking_mps2: float = 3.0  # how hard it brakes
+    front_m: float = 4.0  # distance from the sensor to the front of the vehicle; nearer cells need not be seen
+    half_width_m: float = 1.25  # half width of the lane that must be free
+    delay_s: float = 0.5  # reaction time before the brakes act
+    braking_mps2: float = 3.0  # deceleration
 
     def __post_init__(self) -> None:
         finite = all(
@@ -175,29 +175,29 @@ VEHICLE = Vehicle()
 
 
 def speed_for_view(estimate: FovEstimate, vehicle: Vehicle = VEHICLE) -> float:
-    """Return the speed in m/s from which a vehicle stops within what it sees free ahead of it, along x of ``level``.
+    """Return the highest speed in m/s from which a vehicle can stop within the free cells ahead, along x of ``level``.
 
-    The root of v · delay + v² / (2 · braking) = distance (the assured clear distance ahead), which ends at the first
-    cell of the lane that is not FREE.
+    Solves v · delay + v² / (2 · braking) = distance, the assured clear distance ahead: up to the first cell of the lane
+    that is not FREE.
 
     Args:
         estimate: of the sensor on the vehicle.
-        vehicle: how it stops.
+        vehicle: its braking model.
     """
     front_m, braking_mps2 = vehicle.front_m, vehicle.braking_mps2
     lane, near_side_m = _lane(estimate.grid, front_m, vehicle.half_width_m)
     blocked = (estimate.state[lane] != CellState.FREE).any(axis=1)
     clear_m = max(float(near_side_m[np.append(blocked, True).argmax()]) - front_m, 0.0)
-    lost_mps = braking_mps2 * vehicle.delay_s
-    return float(np.sqrt(lost_mps**2 + 2 * braking_mps2 * clear_m) - lost_mps)
+    delay_mps = braking_mps2 * vehicle.delay_s
+    return float(np.sqrt(delay_mps**2 + 2 * braking_mps2 * clear_m) - delay_mps)
 
 
 @lru_cache(maxsize=16)
 def _lane(grid: BevGrid, front_m: float, half_width_m: float) -> tuple[tuple[slice, slice], NDArray[np.float64]]:
-    """Return the cells that the lane ahead touches, and where each of their rows begins (rows + 1,) in meters.
+    """Return the cells that the lane ahead touches, and the near edge (rows + 1,) of each of their rows in meters.
 
-    A cell blocks from its near side on; the last value is where the grid ends. What lies beside the grid is not seen: a
-    lane that is not whole on it ends at the vehicle's front.
+    A cell blocks from its near edge on; the last value is the end of the grid. Cells outside the grid are not seen: a
+    lane that is not entirely inside ends at the vehicle's front.
     """
     (x0_m, y0_m), side_m = grid.origin_m, 2 * grid.half_extent_m
     if x0_m > front_m or y0_m > -half_width_m or y0_m + side_m < half_width_m:

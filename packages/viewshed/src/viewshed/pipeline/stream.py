@@ -1,4 +1,4 @@
-"""Sweeps in, answers out, in real time: decoding, estimating and publishing overlap, and the newest sweep wins."""
+"""Real-time pipeline of threads: decoding, estimating and publishing overlap; newer sweeps replace older ones."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ if TYPE_CHECKING:  # tracks need scipy, which a robot that tracks nothing does w
     from viewshed.objects.object_stream import ObjectStream, SeenObjects
 
 REASONS = 50
-"""Different reasons for refusing a sweep that are counted apart; all further ones are counted together."""
+"""Maximum number of distinct reasons that are counted separately; further ones are counted together."""
 
 OTHER_REASONS = "for other reasons"
 
@@ -57,25 +57,25 @@ STALE_AFTER_S = 0.5
 
 REPLACED, UNRETURNED = "newer ones replaced them", "publish did not return"
 
-_PATIENCE_S, _PUBLISH_PATIENCE_S = 60.0, 2.0
-"""How long one step of a sweep may take while the pipeline closes, and how long a live ``publish`` may."""
+_TIMEOUT_S, _PUBLISH_TIMEOUT_S = 60.0, 2.0
+"""Timeouts while the pipeline closes: of one step of a sweep, and of a live ``publish``."""
 
 
 @dataclass(frozen=True, slots=True)
 class Statistics:
-    """What a pipeline did so far."""
+    """Counts and latencies of a pipeline so far."""
 
     answered: int  # sweeps with an estimate
-    dropped: int  # sweeps that newer ones of their agent replaced before their turn
-    refused: dict[str, int]  # how many sweeps had no estimate, by reason
-    latencies: str  # median, 99 % quantile and worst latency, in words
-    busy_cores: float  # cores that the process kept busy on average since the first sweep
-    # how long detecting, tracking and explaining objects took, and how often it failed; empty without it
+    dropped: int  # sweeps replaced by newer ones of their agent while waiting
+    refused: dict[str, int]  # number of sweeps without an estimate, by reason
+    latencies: str  # median, 99 % quantile and maximum, in words
+    busy_cores: float  # mean number of cores that the process used since the first sweep
+    # latency of detecting, tracking and explaining objects, and number of failures; empty without objects
     objects: str = ""
-    unpublished: dict[str, int] = field(default_factory=dict)  # how many answers were not published, by reason
+    unpublished: dict[str, int] = field(default_factory=dict)  # number of answers not published, by reason
 
     def line(self) -> str:
-        """Return all of it in one line."""
+        """Return all statistics in one line."""
         lost = "".join(f", {count} refused ({reason})" for reason, count in self.refused.items())
         lost += "".join(f", {count} not published ({reason})" for reason, count in self.unpublished.items())
         counts = f"{self.answered} answered, {self.dropped} dropped{lost}"
@@ -85,7 +85,7 @@ class Statistics:
 
 @dataclass(frozen=True, slots=True)
 class _Step:
-    """A sweep on its way: where it is from, and what has become of it so far."""
+    """A sweep on its way through the stages, with the results so far."""
 
     agent: Agent
     number: int
@@ -104,30 +104,30 @@ class _Step:
 
 @dataclass(slots=True, eq=False)
 class _Stage(Generic[Item]):
-    """One thread of a pipeline: it takes items, does something with each, and hands it on."""
+    """One thread of a pipeline: takes items, processes each, and passes it on."""
 
-    name: str  # what it does
-    take: Callable[[], Item | None]  # waits for the next item; None where there will be no more
-    do: Callable[[Item], Item]  # what is done with an item; it may take ``patience_s`` once the pipeline closes
-    hand_on: Callable[[Item], object]  # takes the item then; it may wait
-    end: Callable[[], None] = lambda: None  # is called when no more items come
-    patience_s: float = _PATIENCE_S
-    begun_s: float = math.inf  # when it began with the item at hand; inf where there is none
-    left: bool = False  # whether it took too long and nobody waits for it any more
+    name: str  # what it does, for messages
+    take: Callable[[], Item | None]  # waits for the next item; None at the end
+    do: Callable[[Item], Item]  # processes an item; its timeout is ``timeout_s`` once the pipeline closes
+    pass_on: Callable[[Item], object]  # passes on the processed item; may block
+    end: Callable[[], None] = lambda: None  # called after the last item
+    timeout_s: float = _TIMEOUT_S
+    begun_s: float = math.inf  # when it began with the current item; inf without one
+    abandoned: bool = False  # whether it timed out, so that nobody waits for it any more
     thread: Thread = field(default_factory=Thread)
 
 
 class Pipeline:
     """Answers sweeps in four threads: one decodes and levels, one estimates, one checks and reacts, one publishes.
 
-    Without monitor and objects one thread estimates and reacts: handing on would take longer than reacting. Sweeps
-    wait in the inbox, where a newer one of the same agent replaces the oldest, and answers wait for ``publish``, of
-    each agent the newest. An error costs its sweep and no other, whatever raises it; what is no :class:`Exception`
-    (``SystemExit``, say) ends the stream, and :meth:`put` and :meth:`close` raise the reason. Memory does not grow with
-    the stream.
+    Without monitor and objects one thread estimates and reacts, because passing on would take longer than reacting.
+    Sweeps wait in the inbox, where a new one replaces the oldest of its agent; the newest answer of each agent waits
+    for ``publish``. An error fails its own sweep only. A ``BaseException`` that is no :class:`Exception`
+    (``SystemExit``, say) ends the stream; :meth:`put` and :meth:`close` then raise the reason. Memory does not grow
+    with the stream.
 
-    A view grows stale: where the newest one of an agent is older than ``stale_after_s`` and two periods of its sweeps,
-    ``publish`` is given its last answer again, once, with STALE caution, speed 0 and every cell UNKNOWN.
+    Views become stale: if the newest view of an agent is older than ``stale_after_s`` and than two periods of its
+    sweeps, ``publish`` receives its last answer again, once, with STALE caution, speed 0 and every cell UNKNOWN.
 
     >>> from viewshed import load_estimator
     >>> answers: list[Answer] = []
@@ -137,19 +137,18 @@ class Pipeline:
     True
 
     Args:
-        estimator: what estimates.
-        publish: is called with each answer, in its own thread.
-        history: the earlier sweeps of each agent that help, for an estimator that uses them; None for none.
-        monitor: what watches the stream, or None.
-        objects: what detects, tracks and explains objects after each estimate, or None; its errors cost only them.
+        estimator: estimates each sweep.
+        publish: called with each answer, in its own thread.
+        history: buffer of each agent's earlier sweeps, for an estimator that uses them; None for none.
+        monitor: checks the stream, or None.
+        objects: detects, tracks and explains objects after each estimate, or None; if it fails, only objects are lost.
         rules: how caution rises and falls.
-        certify: the threat whose certificate an alarm falls back to: what is certified stays claimed; None for none.
-        certified_only: whether only certified cells are claimed, be there an alarm or not.
-        vehicle: how the vehicle stops whose speed is answered.
-        waiting: sweeps of an agent that may wait for their turn.
-        lossless: let :meth:`put` wait for room instead of dropping sweeps, for files; nothing is stale then.
-        stale_after_s: age from which a view is stale, if it is older than two periods (of up to 1 s) as well; inf for
-            never.
+        certify: threat for which claims are certified: certified cells stay claimed in an alarm; None for none.
+        certified_only: claim certified cells only, even without an alarm.
+        vehicle: braking model for the answered speed.
+        waiting: maximum number of queued sweeps of an agent.
+        lossless: block :meth:`put` instead of dropping sweeps, for files; nothing becomes stale then.
+        stale_after_s: age beyond which a view is stale, unless two periods (of up to 1 s) are longer; inf for never.
 
     Raises:
         ValueError: ``waiting`` or ``stale_after_s`` is not positive, or ``certified_only`` is set without a threat.
@@ -179,17 +178,16 @@ class Pipeline:
         self._rules, self._vehicle, self._objects = rules, vehicle, objects
         self._threat, self._certified_only = certify, certified_only
         self._stale_after_s = math.inf if lossless else stale_after_s
-        # Between two threads one sweep waits: who is faster waits for room, and what comes in meanwhile waits, or is
-        # dropped, in the inbox.
+        # One sweep waits between two threads: the faster one blocks, and new sweeps wait, or are dropped, in the inbox.
         self._inbox: Inbox[_Step] = Inbox(waiting, lossless=lossless)
         self._to_estimate: Inbox[_Step] = Inbox(lossless=True)
         self._to_check: Inbox[_Step] = Inbox(lossless=True)
         self._to_publish: Inbox[Answer] = Inbox(lossless=lossless)
         self._agents = Agents()
         self._reacting = Lock()
-        """Held while an answer follows from what is remembered of its agent, and is handed out."""
+        """Guards the reaction of an agent until its answer is handed out."""
         self._lock, self._put, self._answered = Lock(), 0, 0
-        """Held while something is counted."""
+        """Guards the counters and the table of agents."""
         self._refused: Counter[str] = Counter()
         self._handed_out, self._published, self._unpublished = 0, 0, Counter[str]()
         self._accused: frozenset[str] = frozenset()
@@ -198,7 +196,7 @@ class Pipeline:
         self._publish_failed: Exception | None = None
         self._began = (0.0, 0.0)
         self._closing_s, self._closed = math.inf, Event()
-        # Whatever is loaded or allocated once is there before the first sweep counts.
+        # Warm up: load and allocate before the first sweep counts.
         sample = leveled_on(read_sweep(junction_path()), estimator.grid)
         first = estimator.estimate(sample)
         if objects is not None:
@@ -206,21 +204,21 @@ class Pipeline:
         checks = monitor is not None or objects is not None
         self._answering: list[_Stage[_Step]] = [
             _Stage(
-                "decoding", self._inbox.take, partial(self._tried, self._level),
+                "decoding", self._inbox.take, partial(self._attempt, self._level),
                 partial(self._to_estimate.put, ""), self._to_estimate.close,
             ),
             _Stage(
-                "estimating", self._to_estimate.take, partial(self._tried, self._estimate),
+                "estimating", self._to_estimate.take, partial(self._attempt, self._estimate),
                 partial(self._to_check.put, "") if checks else self._answer, self._to_check.close,
             ),
         ]  # fmt: skip
         if checks:
             self._answering.append(
-                _Stage("checking", self._to_check.take, partial(self._tried, self._check), self._answer)
+                _Stage("checking", self._to_check.take, partial(self._attempt, self._check), self._answer)
             )
         self._publishing = _Stage(
             "publish", self._to_publish.take, self._publish_one, lambda _: None,
-            patience_s=_PATIENCE_S if lossless else _PUBLISH_PATIENCE_S,
+            timeout_s=_TIMEOUT_S if lossless else _PUBLISH_TIMEOUT_S,
         )  # fmt: skip
         self._handing_out = [self._publishing]
         if self._stale_after_s < math.inf:
@@ -234,15 +232,15 @@ class Pipeline:
         return [*self._answering, *self._handing_out]
 
     def put(self, source: Sweep | Callable[[], Sweep], agent: str = "ego") -> None:
-        """Put in a sweep of an agent, or what decodes one (it is called only if the sweep's turn comes).
+        """Queue a sweep of an agent, or a function that decodes one (called only if the sweep is not dropped).
 
         Args:
-            source: the sweep, of which a copy is kept, so that its arrays may be used again; or what returns one and
-                owns what it reads.
-            agent: whose it is.
+            source: the sweep, which is copied, so that its arrays may be reused; or a function that returns one and
+                owns the data it reads.
+            agent: name of the agent.
 
         Raises:
-            RuntimeError: the stream has ended; the cause is what ended it.
+            RuntimeError: the stream has ended; its cause is the error that ended it.
         """
         now_s = time.perf_counter()
         if isinstance(source, Sweep):
@@ -251,14 +249,14 @@ class Pipeline:
             if self._put == 0:
                 self._began = now_s, time.process_time()
             number, self._put = self._put, self._put + 1
-            heard = self._agents.heard(agent, now_s, self._begun, self._inbox)
-        if heard is not None:
-            self._inbox.put(agent, _Step(heard, number, now_s, source))
+            known = self._agents.heard(agent, now_s, self._new_agent, self._inbox)
+        if known is not None:
+            self._inbox.put(agent, _Step(known, number, now_s, source))
         if self._ended is not None:
             raise self._ended
 
-    def _begun(self, name: str) -> Agent:
-        """Return an agent of which nothing is remembered yet."""
+    def _new_agent(self, name: str) -> Agent:
+        """Return an agent with empty state."""
         history, monitor, objects = self._history, self._monitor, self._objects
         return Agent(
             name, history=history and history.fresh(), monitor=monitor and monitor.fresh(),
@@ -266,12 +264,12 @@ class Pipeline:
         )  # fmt: skip
 
     def _known(self) -> list[Agent]:
-        """Return the agents that have a place."""
+        """Return all agents."""
         with self._lock:
             return list(self._agents.values())
 
     def newest(self, agent: str = "ego") -> Answer | None:
-        """Return the newest answer of an agent, STALE if that is too old by now; None where there is none."""
+        """Return the newest answer of an agent, marked STALE if it is too old by now; None without one."""
         known = self._agents.get(agent)
         if known is None or known.newest is None:
             return None
@@ -280,15 +278,15 @@ class Pipeline:
         return self._withdrawn(known, known.newest)
 
     def accuse(self, agents: Iterable[str]) -> None:
-        """Take what these agents see for inconsistent as a whole, as a center of many agents does that accuses them.
+        """Treat the whole views of these agents as inconsistent, because a center of many agents accuses them.
 
-        From the next sweep on only what earlier ones confirm holds of their views; agents that are not named any more
-        are believed again, as fast as caution falls.
+        From the next sweep on, only claims confirmed by earlier sweeps hold. Agents that are not named any more are
+        trusted again as fast as caution falls.
         """
         self._accused = frozenset(agents)
 
     def statistics(self) -> Statistics:
-        """Return what was done so far."""
+        """Return the statistics so far."""
         began_s, began_cpu_s = self._began
         with self._lock:
             passed_s = time.perf_counter() - began_s
@@ -297,9 +295,9 @@ class Pipeline:
             if self._objects is not None:
                 failed = f", {self._objects_failed} failed" if self._objects_failed else ""
                 objects = f"{self._objects_took.line()}{failed}"
-            is_left = self._publishing.left
-            lost = self._handed_out - self._published - self._unpublished.total() if is_left else 0
-            replaced = 0 if is_left else self._to_publish.dropped
+            is_abandoned = self._publishing.abandoned
+            lost = self._handed_out - self._published - self._unpublished.total() if is_abandoned else 0
+            replaced = 0 if is_abandoned else self._to_publish.dropped
             unpublished = self._unpublished + Counter({REPLACED: replaced, UNRETURNED: lost})
             refused = dict(self._refused)
             if self._agents.refused:
@@ -310,12 +308,12 @@ class Pipeline:
             )  # fmt: skip
 
     def close(self) -> Statistics:
-        """Answer what waits, publish it, stop, and return what was done.
+        """Answer and publish all queued sweeps, stop, and return the statistics.
 
         Raises:
-            RuntimeError: something ended the stream that is no :class:`Exception`; that is its cause.
+            RuntimeError: a ``BaseException`` that is no :class:`Exception` ended the stream; it is the cause.
             TimeoutError: ``publish`` did not return within 2 s (60 s for files), or another step within 60 s; its
-                thread is left behind, and what was not published is counted.
+                thread is abandoned, and unpublished answers are counted.
             Exception: the first error of ``publish``; the other answers were published.
         """
         self._closing_s = min(self._closing_s, time.perf_counter())
@@ -339,14 +337,14 @@ class Pipeline:
     # The threads
 
     def _work(self, stage: _Stage[Item]) -> None:
-        """Do what a stage does, until no more items come; what is raised here ends the stream."""
+        """Run a stage until its last item; anything raised here ends the stream."""
         try:
-            while not stage.left and (item := stage.take()) is not None:
+            while not stage.abandoned and (item := stage.take()) is not None:
                 stage.begun_s = time.perf_counter()
                 item = stage.do(item)
                 stage.begun_s = math.inf
-                if not stage.left:
-                    stage.hand_on(item)
+                if not stage.abandoned:
+                    stage.pass_on(item)
         except BaseException as error:
             ended = RuntimeError(
                 f"the pipeline must run to take a sweep, its {stage.name} ended with {type(error).__name__}:"
@@ -359,36 +357,36 @@ class Pipeline:
             stage.end()
 
     def _wait_for(self, stages: Sequence[_Stage[Any]]) -> None:
-        """Wait until some stages have ended; one at which an item takes too long is left behind."""
-        while waiting := [stage.thread for stage in stages if stage.thread.is_alive() and not stage.left]:
+        """Wait until these stages have ended; abandon a stage whose current item times out."""
+        while running := [stage.thread for stage in stages if stage.thread.is_alive() and not stage.abandoned]:
             for stage in self._stages:
-                patience_s = stage.patience_s if self._ended is None else _PUBLISH_PATIENCE_S
-                if time.perf_counter() - max(stage.begun_s, self._closing_s) > patience_s and not stage.left:
-                    why = f"{stage.name} must return within {patience_s:g} s once the pipeline closes"
+                timeout_s = stage.timeout_s if self._ended is None else _PUBLISH_TIMEOUT_S
+                if time.perf_counter() - max(stage.begun_s, self._closing_s) > timeout_s and not stage.abandoned:
+                    why = f"{stage.name} must return within {timeout_s:g} s once the pipeline closes"
                     self._end(stage, TimeoutError(f"{why}, it did not; end what it waits for"))
-            waiting[0].join(0.02)
+            running[0].join(0.02)
 
-    def _end(self, stage: _Stage[Any], why: Exception) -> None:
-        """End the stream: nothing more is taken in, and nobody waits for the stage. Views may still become stale."""
+    def _end(self, stage: _Stage[Any], error: Exception) -> None:
+        """End the stream: accept no more sweeps and abandon the stage. Views may still become stale."""
         with self._lock:
-            stage.left, self._ended = True, self._ended or why
+            stage.abandoned, self._ended = True, self._ended or error
             if stage is self._publishing:
                 self._unpublished += Counter({REPLACED: self._to_publish.dropped})
                 self._to_publish.close()
         for inbox in (self._inbox, self._to_estimate, self._to_check):
             inbox.close()
 
-    # What becomes of a sweep
+    # Steps of a sweep
 
-    def _tried(self, do: Callable[[_Step], _Step], step: _Step) -> _Step:
-        """Return a sweep after something was done with it; an error there refuses it."""
+    def _attempt(self, do: Callable[[_Step], _Step], step: _Step) -> _Step:
+        """Return the sweep after a step; an error in the step refuses the sweep."""
         try:
             return do(step)
         except Exception as error:
             return replace(step, estimate=None, report=None, objects=None, refused=_in_one_line(error))
 
     def _level(self, step: _Step) -> _Step:
-        """Decode and level; the sensor of the agent's sweep before is looked at first."""
+        """Decode and level the sweep; the sensor of the agent's last sweep is tried first."""
         sweep = step.source() if callable(step.source) else step.source
         agent = step.agent
         if sweep.agent != agent.name:
@@ -400,7 +398,7 @@ class Pipeline:
         return replace(step, leveled=leveled, notes=(note,) if note else ())
 
     def _estimate(self, step: _Step) -> _Step:
-        """Estimate, with the agent's earlier sweeps where there are any."""
+        """Estimate, with the agent's earlier sweeps if there are any."""
         if step.leveled is None:
             return step
         history = step.agent.history
@@ -417,7 +415,7 @@ class Pipeline:
         return replace(step, leveled=leveled, seen=seen, estimate=estimate)
 
     def _check(self, step: _Step) -> _Step:
-        """Look for what contradicts the estimate, then follow objects; what goes wrong there costs only them."""
+        """Check the sweep with the monitor, then follow objects; an error with objects loses only them."""
         leveled, estimate = step.leveled, step.estimate
         if leveled is None or estimate is None:
             return step
@@ -427,7 +425,7 @@ class Pipeline:
         return step if step.agent.objects is None else self._follow(step.agent.objects, leveled, estimate, step)
 
     def _follow(self, stream: ObjectStream, leveled: LeveledSweep, estimate: FovEstimate, step: _Step) -> _Step:
-        """Return a sweep with its objects; without, counted and noted, where they cannot be had."""
+        """Return the sweep with its objects; if that fails, count and note it."""
         try:
             objects = stream.follow(leveled, estimate, None if step.report is None else step.report.now)
         except Exception as error:
@@ -439,14 +437,14 @@ class Pipeline:
         return replace(step, objects=objects)
 
     def _answer(self, step: _Step) -> None:
-        """React, remember, count and hand out."""
+        """React to a sweep, update agent and counters, and hand out the answer."""
         agent = step.agent
         with self._reacting:
             agent.puts_s.append(step.put_s)
             if step.estimate is not None:
                 agent.seen_s = step.put_s
-            step = self._tried(self._react, step)
-            # An answer without a reaction has no view either.
+            step = self._attempt(self._react, step)
+            # A failed reaction leaves no view either: keep the caution, at least ASK.
             before = agent.reaction
             agent.reaction = step.reaction or replace(before, caution=max(before.caution, Caution.ASK), calm=0)
             latency_s = time.perf_counter() - step.put_s
@@ -463,21 +461,21 @@ class Pipeline:
             self._hand_out(agent.newest)
 
     def _react(self, step: _Step) -> _Step:
-        """Return a sweep with its reaction, without what does not hold any more, and with the speed for the rest."""
+        """Return the sweep with its reaction, withdrawn cells and the resulting speed."""
         agent = step.agent
-        found = _finding(step.estimate, step.report, step.objects, is_accused=agent.name in self._accused)
+        finding = _finding(step.estimate, step.report, step.objects, is_accused=agent.name in self._accused)
         if self._is_stale(agent):
-            found = replace(found, stale=True)
+            finding = replace(finding, stale=True)
             step = replace(step, notes=(*step.notes, agent.stale_note))
-        reaction, estimate = react(found, agent.reaction, self._rules), step.estimate
+        reaction, estimate = react(finding, agent.reaction, self._rules), step.estimate
         if estimate is None:
             return replace(step, reaction=reaction)
         confirmed = certified = None
         if reaction.caution == Caution.CONFIRMED and step.seen is not None:
             confirmed = step.seen.confirmations(estimate.grid, estimate.target) > 0
-        # An agent that a center accuses may well be beyond any threat that was thought of.
-        counts = self._certified_only or reaction.caution >= Caution.WIDEN
-        if counts and step.leveled is not None and not (found.stale or found.accused):
+        # No certificate for an accused agent: its attacker may exceed the assumed threat.
+        needs_certificate = self._certified_only or reaction.caution >= Caution.WIDEN
+        if needs_certificate and step.leveled is not None and not (finding.stale or finding.accused):
             certified, notes = self._certified(step.leveled, estimate)
             step = replace(step, notes=(*step.notes, *notes))
         estimate = withdraw(estimate, reaction, confirmed, self._rules, certified, certified_only=self._certified_only)
@@ -485,7 +483,7 @@ class Pipeline:
         return replace(step, reaction=reaction, estimate=estimate, speed_mps=speed_mps)
 
     def _certified(self, leveled: LeveledSweep, estimate: FovEstimate) -> tuple[Mask | None, tuple[str, ...]]:
-        """Return the cells (cells, cells) that the threat cannot have opened, and what is certified, in words."""
+        """Return the certified cells (cells, cells), or None, and one line about the certificate."""
         if self._threat is None:
             return None, ()
         try:
@@ -495,13 +493,13 @@ class Pipeline:
         return certificate.certified_visible, (certificate.line,)
 
     def _hand_out(self, answer: Answer) -> None:
-        """Hand an answer to the thread that publishes; a newer one of its agent replaces it there, but not of files."""
+        """Queue an answer for the publishing thread; unless lossless, a newer one of its agent may replace it."""
         with self._lock:
             self._handed_out += 1
         self._to_publish.put(answer.agent, answer)
 
     def _publish_one(self, answer: Answer) -> Answer:
-        """Publish an answer; an error costs this one."""
+        """Publish an answer; an error loses only this one."""
         try:
             self._publish(answer)
         except Exception as error:
@@ -513,18 +511,18 @@ class Pipeline:
                 self._published += 1
         return answer
 
-    # What becomes of a view that nothing follows
+    # Stale views
 
-    def _lasts_s(self, agent: Agent) -> float:
-        """Return for how long the view of an agent is believed."""
+    def _max_age_s(self, agent: Agent) -> float:
+        """Return the age beyond which the view of an agent is stale."""
         return max(self._stale_after_s, 2.0 * agent.period_s)
 
     def _is_stale(self, agent: Agent) -> bool:
-        """Return whether the newest view of an agent is too old by now."""
-        return agent.age_s > self._lasts_s(agent)
+        """Return whether the newest view of an agent is too old."""
+        return agent.age_s > self._max_age_s(agent)
 
     def _next_stale(self) -> Answer | None:
-        """Wait until the view of an agent becomes stale and return its newest answer; None once the pipeline closes."""
+        """Wait until an agent's view becomes stale and return its newest answer; None once the pipeline closes."""
         wait_s = 0.0
         while not self._closed.wait(wait_s):
             wait_s = self._stale_after_s
@@ -533,11 +531,11 @@ class Pipeline:
                     if agent.reaction.caution != Caution.STALE:
                         if self._is_stale(agent):
                             return agent.newest
-                        wait_s = min(wait_s, self._lasts_s(agent) - agent.age_s)
+                        wait_s = min(wait_s, self._max_age_s(agent) - agent.age_s)
         return None
 
     def _hand_out_stale(self, answer: Answer) -> None:
-        """Hand out an answer again, now that it is stale, unless a newer one was handed out meanwhile."""
+        """Hand out a stale answer again, unless a newer one was handed out meanwhile."""
         with self._reacting:
             agent = self._agents.get(answer.agent)
             if agent is not None and agent.newest is answer:
@@ -546,23 +544,23 @@ class Pipeline:
                 self._hand_out(agent.newest)
 
     def _withdrawn(self, agent: Agent, answer: Answer) -> Answer:
-        """Return the newest answer of an agent as one that is stale."""
+        """Return the newest answer of an agent, marked as stale."""
         reaction = react(Finding(stale=True), agent.reaction, self._rules)
         estimate = None if answer.estimate is None else withdraw(answer.estimate, reaction, None, self._rules)
         return replace(answer, estimate=estimate, reaction=reaction, speed_mps=0.0, notes=(agent.stale_note,))
 
 
 def _count(reasons: Counter[str], reason: str) -> None:
-    """Count a reason; of too many different ones all further ones together."""
+    """Count a reason; beyond ``REASONS`` distinct ones, count further ones together."""
     reasons[reason if reason in reasons or len(reasons) < REASONS else OTHER_REASONS] += 1
 
 
 def _finding(
     estimate: FovEstimate | None, report: StreamReport | None, objects: SeenObjects | None, *, is_accused: bool
 ) -> Finding:
-    """Return what is reacted to: no answer is a worse view, and where nobody looks nothing is found.
+    """Return the finding on a sweep: a missing estimate is a degraded view, a missing report no finding.
 
-    A suspicious track is a reason to ask others; an agent that a center accuses is inconsistent as a whole.
+    A suspicious track degrades the view; an agent that a center accuses is inconsistent in all sectors.
     """
     if estimate is None:
         return Finding(degraded=True)

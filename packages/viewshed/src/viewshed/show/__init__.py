@@ -1,1 +1,1 @@
-"""Pictures, pages and viewers of what was estimated."""
+"""Pictures, pages and viewers of estimates."""

@@ -1,4 +1,4 @@
-"""Pictures of what a center makes of several agents: who sees what, what is believed, and who contradicts whom."""
+"""Pictures of a center's fusion of several agents: joint view, believed objects, and contradictions between agents."""
 
 from __future__ import annotations
 
@@ -25,26 +25,26 @@ from viewshed.show._canvas import BLACK, WHITE, Canvas, Color
 from viewshed.show.plot import Panel, map_picture
 
 SIDE, STRIP_SIDE, MARGIN, COLUMN = 720, 520, 20, 380
-"""Pixels of the map, of each map of a strip, around it, and of the words beside it."""
+"""Sizes in pixels: the map, each map of a strip, the margin, and the column of text."""
 
 TRUSTED, DOUBTED, DISTRUSTED, QUIET = (20, 140, 40), (235, 150, 0), (214, 39, 40), (120, 120, 130)
-"""Colors of agents and objects: believed, in between, not believed; and of what only its neighbors speak of."""
+"""Colors of agents and objects: believed, in between, not believed; and of those only their neighbors report."""
 
 CONTRADICTION_NATS = 3.0
-"""Two views of which a comparison is as rare as this contradict each other."""
+"""Two views contradict each other if their comparison is at least this rare."""
 
-MOST_OUTLINED = 5
-"""Most agents whose views are outlined; more lines hide each other."""
+MAX_OUTLINED = 5
+"""Views are outlined for up to this many agents; more lines hide each other."""
 
-_LEAST_AREA_M2 = 20.0
-"""Pieces of a view that are smaller are not outlined."""
+_MIN_AREA_M2 = 20.0
+"""Smaller pieces of a view are not outlined."""
 
 _LINE, _LETTERS = 20, 54
-"""Pixels between lines of words, and the most letters of one."""
+"""Line spacing of text in pixels, and maximum letters of a line."""
 
 
 def color_of(trust: float) -> Color:
-    """Return the color of a probability.
+    """Return the color of a probability of trust or existence.
 
     >>> color_of(0.9) == TRUSTED, color_of(0.5) == DOUBTED, color_of(0.1) == DISTRUSTED
     (True, True, True)
@@ -53,85 +53,85 @@ def color_of(trust: float) -> Color:
 
 
 def agent_color(number: int, agents: int) -> Color:
-    """Return the color of an agent's own lines, from cyan to purple: none that says something of belief."""
+    """Return the color of an agent's own lines, from cyan to purple, distinct from the colors of trust."""
     hue = (170.0 + 150.0 * number / max(agents - 1, 1)) / 360.0
     red, green, blue = (round(255 * part) for part in hls_to_rgb(hue, 0.4, 0.7))
     return red, green, blue
 
 
 def claimed_free(claims: AgentReport, other: AgentReport) -> F64:
-    """Return where in the world (K, 2) surfaces of another agent stand that one claims free, on the same ground."""
+    """Return world positions (K, 2) of another agent's surfaces that ``claims`` says are free, on the same ground."""
     own = surface_cells(other.estimate, NEAREST_M, FARTHEST_M)
     pose = other.world_from_level
     world: F64 = own @ pose.rotation[:2, :2].T + pose.translation[:2]
     level = claims.in_level(world)
     cells, inside = claims.estimate.grid.index(level)
     is_free = inside & (claims.estimate.state[cells[:, 0], cells[:, 1]] == CellState.FREE)
-    seen: F64 = world[is_free & (np.abs(claims.ground_m(level) - other.ground_m(own)) < SAME_GROUND_M)]
-    return seen
+    claimed: F64 = world[is_free & (np.abs(claims.ground_m(level) - other.ground_m(own)) < SAME_GROUND_M)]
+    return claimed
 
 
 def contradictions(done: Round) -> list[tuple[int, int, str]]:
-    """Return pairs of agents that contradict each other, by their numbers, and of what each pair disagrees.
+    """Return the pairs of agents that contradict each other, as indices, and the subject of each contradiction.
 
-    About objects: one reports what the other claims to see and denies. About views: see ``Verdicts.against``.
+    Objects: one agent reports an object that the other should see and denies. Views: see ``Verdicts.against``.
     """
     picture, names = done.picture, done.picture.agents
     denied = picture.reporters[:, :, None] & picture.deniers[:, None]
     against = picture.verdicts.against
-    found = []
+    pairs = []
     for one in range(len(names)):
         for other in range(one + 1, len(names)):
             ids = picture.tracks.ids[denied[:, one, other] | denied[:, other, one]].tolist()
             parts = [f"objects {', '.join(map(str, ids[:4]))}{' …' if len(ids) > 4 else ''}"] if ids else []
             parts += ["views"] if against[one, other] >= CONTRADICTION_NATS else []
             if parts:
-                found.append((one, other, " and ".join(parts)))
-    return found
+                pairs.append((one, other, " and ".join(parts)))
+    return pairs
 
 
 def _map_of(done: Round, pairs: list[tuple[int, int, str]], side: int) -> Canvas:
-    """Return the map of a round, ``side`` pixels wide: the joint view, agents, objects, lines between pairs."""
+    """Return the map of a round, ``side`` pixels wide: joint view, agents, objects, lines between pairs."""
     picture, joint = done.picture, done.joint
     panel = Panel(replace(joint.estimate(done.t_ns), agent=""), "")
     area = map_picture(panel, side)
     half_m, middle = joint.grid.half_extent_m, joint.world_from_grid.translation[:2]
 
     def pixels(xy_m: NDArray[np.float64]) -> list[tuple[float, float]]:
-        """Return columns and rows: x of the world points up, y to the left."""
-        away = (half_m - (np.atleast_2d(xy_m) - middle)) * side / (2 * half_m)
-        return [(float(y), float(x)) for x, y in away]
+        """Return (column, row) of world positions; x points up, y to the left."""
+        row_column = (half_m - (np.atleast_2d(xy_m) - middle)) * side / (2 * half_m)
+        return [(float(column), float(row)) for row, column in row_column]
 
     places = {report.agent: report.world_from_level.translation[:2] for report in done.reports}
     trust = dict(zip(picture.agents, picture.verdicts.trust.tolist(), strict=True))
     own_colors = _own_colors(done)
-    # 1. The outline of each view.
+    # 1. Outline of each view.
     if _is_outlined(done):
         for report in done.reports:
             pose = report.world_from_level
             for piece in report.estimate.polygon().geoms:
-                if piece.area >= _LEAST_AREA_M2:
+                if piece.area >= _MIN_AREA_M2:
                     ring = np.array(piece.exterior.coords) @ pose.rotation[:2, :2].T + pose.translation[:2]
                     area.line(pixels(ring), own_colors[report.agent], 2)
-    # 2. Surfaces of one agent that another one claims free, where their views contradict each other.
+    # 2. Surfaces of one agent that another claims to be free, if their views contradict each other.
     numbers = {report.agent: picture.agents.index(report.agent) for report in done.reports}
     for claims, other in permutations(done.reports, 2) if _is_outlined(done) else ():
         if picture.verdicts.against[numbers[claims.agent], numbers[other.agent]] >= CONTRADICTION_NATS:
             for x, y in pixels(claimed_free(claims, other)):
                 area.rectangle((x - 1.5, y - 1.5, x + 1.5, y + 1.5), DISTRUSTED)
-    # 3. Who contradicts whom.
-    for one, partner, _ in pairs:
-        ends = [places.get(picture.agents[each]) for each in (one, partner)]
+    # 3. Lines between agents that contradict each other.
+    for first, second, _ in pairs:
+        ends = [places.get(picture.agents[index]) for index in (first, second)]
         if ends[0] is not None and ends[1] is not None:
             area.polygon(pixels(np.stack([ends[0], ends[1]])), DISTRUSTED, grow=1.2)
-    # 4. Objects: the outline of each box that somebody reports or that is believed.
+    # 4. Outlines of objects that are reported or believed.
     for number in np.flatnonzero(picture.reported | picture.believed):
         color = color_of(float(picture.existence[number]))
         corners = pixels(corners_of(picture.tracks.boxes[[number]])[0])
-        for first, second in zip(corners, [*corners[1:], corners[0]], strict=True):
-            area.polygon([first, second], color, grow=1.0)
+        for start, end in zip(corners, [*corners[1:], corners[0]], strict=True):
+            area.polygon([start, end], color, grow=1.0)
         area.text((corners[0][0] + 3, corners[0][1] - 3), str(picture.tracks.ids[number]), 6)
-    # 5. Agents: a disc in the color of the trust in each, and its name.
+    # 5. Agents: a disc in the color of the agent's trust, and its name.
     for agent, xy in places.items():
         [(column, row)] = pixels(xy)
         turn = np.linspace(0.0, 2 * np.pi, 17)[:-1]
@@ -143,7 +143,7 @@ def _map_of(done: Round, pairs: list[tuple[int, int, str]], side: int) -> Canvas
 
 
 def _is_outlined(done: Round) -> bool:
-    return len(done.reports) <= MOST_OUTLINED
+    return len(done.reports) <= MAX_OUTLINED
 
 
 def _own_colors(done: Round) -> dict[str, Color]:
@@ -152,7 +152,7 @@ def _own_colors(done: Round) -> dict[str, Color]:
 
 
 def fused_strip(rounds: Sequence[Round]) -> bytes:
-    """Return a PNG of several rounds side by side: the map of each, and below it the trust in each agent."""
+    """Return a PNG of several rounds side by side: the map of each above the list of agents with their trust."""
     rows = max(len(done.picture.agents) for done in rounds)
     page = Canvas.blank(len(rounds) * (STRIP_SIDE + MARGIN) + MARGIN, STRIP_SIDE + 2 * MARGIN + 30 + (rows + 1) * _LINE)
     for number, done in enumerate(rounds):
@@ -165,7 +165,7 @@ def fused_strip(rounds: Sequence[Round]) -> bytes:
 
 
 def _write_agents(page: Canvas, done: Round, left: int, top: int) -> int:
-    """Write agents with the trust in each from a place on, and return the row below them."""
+    """Draw the list of agents with their trust at (left, top), and return the row below it."""
     own_colors, heard = _own_colors(done), {report.agent for report in done.reports}
     for at, agent in enumerate(done.picture.agents):
         trust = float(done.picture.verdicts.trust[at])
@@ -180,17 +180,17 @@ def _write_agents(page: Canvas, done: Round, left: int, top: int) -> int:
 
 
 def fused_picture(done: Round) -> bytes:
-    """Return a PNG of a round: the joint view, agents by trust, objects by belief, and lines between who contradict.
+    """Return a PNG of a round: joint view, agents by trust, objects by existence, lines between contradicting agents.
 
-    Of up to ``MOST_OUTLINED`` agents also the outlines of their views, and red dots where one claims a surface of
-    another free.
+    With up to ``MAX_OUTLINED`` agents also the outlines of their views, and red dots where an agent claims another
+    one's surface to be free.
     """
     picture, pairs = done.picture, contradictions(done)
     page = Canvas.blank(SIDE + COLUMN + 2 * MARGIN, SIDE + 2 * MARGIN + 30)
     page.text((MARGIN, MARGIN + 12), f"{len(done.reports)} agents, {picture.t_s:.2f} s", 11, bold=True)
     page.paste(_map_of(done, pairs, SIDE), MARGIN, MARGIN + 30)
     left, top = SIDE + 2 * MARGIN, MARGIN + 44
-    # 6. Words: agents with trust, what is believed, who contradicts whom.
+    # 6. Text: agents with their trust, believed objects, contradictions.
     top = _write_agents(page, done, left, top)
     shown = picture.reported | picture.believed
     top += _LINE // 2
@@ -214,7 +214,7 @@ def fused_picture(done: Round) -> bytes:
 
 
 def fused_page(rounds: Sequence[Round], pictures: Sequence[bytes], title: str) -> bytes:
-    """Return an HTML page, one file without network, of rounds over time: pictures by a slider, trust as lines."""
+    """Return a self-contained HTML page of rounds over time: pictures with a slider, and curves of trust."""
     agents = sorted({agent for done in rounds for agent in done.picture.agents})
     times_s = [done.picture.t_s for done in rounds]
     width, height, begin, end = 720.0, 160.0, times_s[0], max(times_s[-1], times_s[0] + 1e-3)
@@ -229,12 +229,12 @@ def fused_page(rounds: Sequence[Round], pictures: Sequence[bytes], title: str) -
         color = "#{:02x}{:02x}{:02x}".format(*agent_color(number, len(agents)))
         lines.append(f'<polyline points="{path}" fill="none" stroke="{color}" stroke-width="2"/>')
         ends.append((places[-1][1], f'fill="{color}">{html.escape(agent)}</text>'))
-    # Names stand at the ends of their lines, one below the other where these meet.
+    # Names at the ends of their curves, moved down where they would overlap.
     below = -np.inf
     for row, name in sorted(ends):
         below = max(row, below + 15.0)
         lines.append(f'<text x="{width + 6}" y="{below:.0f}" {name}')
-    sources = json.dumps([base64.b64encode(each).decode() for each in pictures])
+    sources = json.dumps([base64.b64encode(picture).decode() for picture in pictures])
     return f"""<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{html.escape(title)}</title>
 <style>body{{font:14px sans-serif;margin:16px}}img{{max-width:100%}}input{{width:720px}}svg{{overflow:visible}}</style>
 </head><body><h1>{html.escape(title)}</h1>

@@ -1,4 +1,4 @@
-"""Pictures of estimates, seen from above: forward is up, left is left."""
+"""Bird's-eye pictures of estimates; forward is up, left is left."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ COLORS = {
     CellState.SURFACE: (0.84, 0.37, 0.0),
     CellState.HIDDEN: (0.42, 0.42, 0.47),
 }
-"""Colors of the states; distinguishable with every common color blindness (after Okabe and Ito 2008)."""
+"""Colors of the states, distinguishable with all common color blindness (after Okabe and Ito 2008)."""
 
 WORDS = {
     CellState.FREE: "free: visible, nothing stands there",
@@ -33,7 +33,7 @@ WORDS = {
 }
 
 HEIGHTS_M = (0.0, 3.0)
-"""Heights above local ground between which points are colored."""
+"""Range of heights above local ground covered by the colors of points."""
 
 _EDGE = (0.0, 0.22, 0.5)
 
@@ -43,11 +43,11 @@ _LARGE = 500
 
 _TITLE_LETTERS = 100
 
-_MOST_DOUBT = 0.5
-"""A doubt of a half is a guess."""
+_MAX_DOUBT = 0.5
+"""Doubt with the brightest color: a half is a guess."""
 
-_MOST_STD = 0.25
-"""The deviation that has the brightest color; few cells have more."""
+_MAX_STD = 0.25
+"""Standard deviation with the brightest color; few cells exceed it."""
 
 _LINE = 18
 """Height of a line of a title in pixels."""
@@ -56,13 +56,13 @@ _ROW = 26
 """Height of a row of a table in pixels."""
 
 _HEAD_COLOR, _LINE_COLOR = (237, 237, 237), (204, 204, 204)
-"""Of a table: behind the heads of its columns, and between its cells."""
+"""Colors of a table: background of its header, lines between its cells."""
 
 _SUSPECT = (214, 39, 40)
 """Color of suspect sectors."""
 
-_MOST_SURPRISE = 5.0
-"""Evidence as rare as once in a hundred thousand benign sectors has the brightest color."""
+_MAX_SURPRISE = 5.0
+"""Surprise with the brightest color: once in a hundred thousand benign sectors."""
 
 _COLOR_STEPS = {
     "viridis": "440154 481769 472a7a 433d84 3d4e8a 355e8d 2e6d8e 297b8e 23898e 1f978b 21a585 2eb37c 46c06f 65cb5e "
@@ -72,12 +72,12 @@ _COLOR_STEPS = {
     "magma": "000004 090720 1a1042 311165 4a1079 621980 792282 912b81 aa337d c23b75 d9466b ec5860 f7725c fc8e64 "
              "feaa74 fec68a fde2a3 fcfdbf",
 }  # fmt: skip
-"""Every fifteenth color of matplotlib's maps of these names (in the public domain); those between are interpolated."""
+"""Every fifteenth color of matplotlib's color maps (public domain); the others are interpolated."""
 
 
 @dataclass(frozen=True, slots=True)
 class Panel:
-    """One picture of several: an estimate, its heading, the sweep's points or None, and where the edge is drawn."""
+    """One picture: an estimate, its title, the sweep whose points are drawn or None, and the threshold of the edge."""
 
     estimate: FovEstimate
     title: str
@@ -86,11 +86,11 @@ class Panel:
 
 
 def draw(panel: Panel, dark: bool = False) -> bytes:
-    """Return a PNG of one estimate: of its states, and of probability and doubt where they say more than these.
+    """Return a PNG of one estimate: its states, and maps of probability and doubt unless probabilities are all 0 or 1.
 
     Args:
-        panel: what is drawn.
-        dark: a dark page, for those who read in the dark; the colors of the maps are the same.
+        panel: the estimate to draw.
+        dark: dark background; the colors of the maps are the same.
     """
     prob = panel.estimate.visible_prob
     is_mask = bool(((prob == 0.0) | (prob == 1.0)).all())
@@ -98,7 +98,7 @@ def draw(panel: Panel, dark: bool = False) -> bytes:
 
 
 def draw_estimate(estimate: FovEstimate, leveled: LeveledSweep | None, heading: str, dark: bool) -> bytes:
-    """Return a PNG of an estimate by itself; see :meth:`FovEstimate.plot`."""
+    """Return a PNG of a single estimate; see :meth:`FovEstimate.plot`."""
     return draw(Panel(estimate, heading, leveled, estimate.threshold), dark)
 
 
@@ -116,27 +116,27 @@ def picture(panel: Panel, dark: bool = False) -> bytes:
 
 
 def maps_picture(panel: Panel, dark: bool = False) -> bytes:
-    """Return a PNG of the states and, beside them, of probability, doubt and deviation, if there is one.
+    """Return a PNG of the states and, beside them, maps of probability, doubt and (if known) standard deviation.
 
-    Scales are the same in every picture. The page is as wide as a page of text shows without losing the letters.
+    Color scales are the same in every picture. The image is narrow enough for its text to stay legible in a document.
     """
     estimate, side, lines = panel.estimate, 640, _title_lines(panel)
     maps = [
         ("probability of visible", estimate.visible_prob, "cividis", 1.0),
-        ("doubt: chance that the answer is wrong", estimate.doubt(), "magma", _MOST_DOUBT),
+        ("doubt: chance that the answer is wrong", estimate.doubt(), "magma", _MAX_DOUBT),
     ]
     if estimate.std is not None and np.isfinite(estimate.std).any():
-        maps.append(("deviation over the passes", estimate.std, "magma", _MOST_STD))
+        maps.append(("deviation over the passes", estimate.std, "magma", _MAX_STD))
     above, gap = 22 * len(lines) + 16, 34
-    small = (side - gap * (len(maps) - 1)) // len(maps)
-    page = Canvas.blank(side + max(small + 130, 370) + 20, side + above + 124, dark)
+    map_side = (side - gap * (len(maps) - 1)) // len(maps)
+    page = Canvas.blank(side + max(map_side + 130, 370) + 20, side + above + 124, dark)
     page.paste(_map(panel, side), 20, above)
     _title(page, lines, 20, above, 11, 22)
     for k, (title, values, colors, top) in enumerate(maps):
-        left, upper = side + 40, above + k * (small + gap)
-        page.paste(Canvas(_value_pixels(values, colors, top, small)), left, upper)
+        left, upper = side + 40, above + k * (map_side + gap)
+        page.paste(Canvas(_value_pixels(values, colors, top, map_side)), left, upper)
         page.text((left, upper - 8), title, 10)
-        _color_bar(page, colors, _ticks(top), top, (left + small + 10, upper, 14, small))
+        _color_bar(page, colors, _ticks(top), top, (left + map_side + 10, upper, 14, map_side))
     if panel.leveled is not None:
         _height_line(page, page.height - 82)
     _legend(page, 2, estimate)
@@ -146,20 +146,20 @@ def maps_picture(panel: Panel, dark: bool = False) -> bytes:
 def monitor_picture(
     panel: Panel, report: IntegrityReport, names: Sequence[str], surprises: NDArray[np.float32]
 ) -> bytes:
-    """Return a PNG of what a monitor says of a sweep: the map, suspect sectors in red, beside all evidence by azimuth.
+    """Return a PNG of a monitor's report: the map with suspect sectors in red, and all evidence by azimuth.
 
     Args:
         panel: the estimate and its sweep.
         report: of the monitor.
         names: (E,) of the evidence.
-        surprises: (E, SECTORS) -log10 of the share of benign sectors as suspicious; NaN where evidence abstains.
+        surprises: (E, SECTORS) -log10 of the share of benign sectors that are as suspicious; NaN where it abstains.
     """
     side, row = 560, 22
     lines = [*_title_lines(panel)]
     above = _LINE * len(lines) + 16
     names_width = round(max(text_width(name.replace("_", " "), 9) for name in names)) + 16
     left = side + 40 + names_width
-    strip = np.repeat(surprises[:, ::-1], 5, axis=1)  # left is left: the azimuth falls from +180° to -180°
+    strip = np.repeat(surprises[:, ::-1], 5, axis=1)  # azimuth from +180° to -180°, so that left is left
     reasons = [part for number, reason in enumerate(report.reasons, 1) for part in _fit(f"{number}. {reason}")]
     reasons = reasons or ["nothing unusual"]
     table_bottom = above + row * len(names)
@@ -175,18 +175,18 @@ def monitor_picture(
     pixels[red] = (0.55 * pixels[red] + 0.45 * np.array(_SUSPECT)).astype(np.uint8)
     page.paste(Canvas(pixels), 20, above)
     _title(page, lines, 20, above, 9)
-    # 2. All evidence by azimuth: how rare it is on benign sweeps.
+    # 2. Surprise of all evidence by azimuth.
     for number, name in enumerate(names):
         page.text((left - 8, above + row * number + 15), name.replace("_", " "), 9, "rs")
         values = np.repeat(strip[number][None], row - 4, axis=0)
         known = np.isfinite(values)
-        shades = color_map("magma")[(np.clip(np.where(known, values, 0) / _MOST_SURPRISE, 0, 1) * 255).astype(np.intp)]
-        shown = np.where(known[..., None], shades, np.uint8(230)).astype(np.uint8)
-        page.paste(Canvas(shown), left, above + row * number)
+        shades = color_map("magma")[(np.clip(np.where(known, values, 0) / _MAX_SURPRISE, 0, 1) * 255).astype(np.intp)]
+        pixels = np.where(known[..., None], shades, np.uint8(230)).astype(np.uint8)
+        page.paste(Canvas(pixels), left, above + row * number)
     for share, words in ((0.0, "behind"), (0.25, "left"), (0.5, "ahead"), (0.75, "right"), (1.0, "behind")):
         page.text((left + share * strip.shape[1], table_bottom + 12), words, 8, "ms")
     ticks = [(float(value), f"1 in {10**value:,}") for value in range(1, 6)]
-    _color_bar(page, "magma", ticks, _MOST_SURPRISE, (left + strip.shape[1] + 12, above, 14, row * len(names) - 4))
+    _color_bar(page, "magma", ticks, _MAX_SURPRISE, (left + strip.shape[1] + 12, above, 14, row * len(names) - 4))
     page.text((left + strip.shape[1] + 12, above - 8), "benign sectors", 8)
     # 3. The reasons, the strongest first.
     for number, line in enumerate(reasons):
@@ -198,7 +198,7 @@ def monitor_picture(
 def comparison(panels: Sequence[Panel], rows: Sequence[Sequence[str]], header: Sequence[str]) -> bytes:
     """Return a PNG of several estimates side by side above a table of ``rows`` (one for each panel).
 
-    Above the table stand the height of the sensor and its reach, where the first estimate says them.
+    A line above the table gives the sensor's height, if the first estimate states it.
     """
     across, side = len(panels) if len(panels) < 4 else 2 if len(panels) == 4 else 3, 400
     down = -(-len(panels) // across)
@@ -221,7 +221,7 @@ def comparison(panels: Sequence[Panel], rows: Sequence[Sequence[str]], header: S
 
 
 def contact_sheet(panels: Sequence[Panel], across: int = 7, side: int = 168) -> bytes:
-    """Return a PNG with one small picture of ``side`` pixels for each panel, ``across`` in a row."""
+    """Return a PNG of thumbnails of ``side`` pixels, one for each panel, ``across`` in a row."""
     down = -(-max(len(panels), 1) // across)
     page = Canvas.blank(across * (side + 6) + 6, down * (side + 32) + 52)
     for k, panel in enumerate(panels):
@@ -235,13 +235,13 @@ def contact_sheet(panels: Sequence[Panel], across: int = 7, side: int = 168) -> 
 
 
 def _title(page: Canvas, lines: Sequence[str], left: int, top: int, points: float, spacing: int = _LINE) -> None:
-    """Write lines above a picture, the last one 8 pixels above ``top``; above maps of the page's own width, so much."""
+    """Draw lines of text above a picture, the last one 8 pixels above ``top``."""
     for number, line in enumerate(reversed(lines)):
         page.text((left, top - 8 - spacing * number), line, points)
 
 
 def _title_lines(panel: Panel) -> list[str]:
-    """Return the lines above a picture: its title, and what the estimate rests on where that is known."""
+    """Return the lines above a picture: its title, and the basis of the estimate if it is known."""
     basis = panel.estimate.basis
     height = () if basis is None else (basis.height_line,)
     view = () if basis is None or not panel.estimate.visible().any() else (basis.view_line,)
@@ -249,23 +249,23 @@ def _title_lines(panel: Panel) -> list[str]:
 
 
 def _fit(line: str) -> list[str]:
-    """Return a line as two at most that fit above the picture; what is beyond them is left out."""
+    """Wrap a line to the width of the picture; text beyond two lines is left out."""
     return textwrap.wrap(line, _TITLE_LETTERS, max_lines=2, placeholder=" …")
 
 
 def map_picture(panel: Panel, pixels: int) -> Canvas:
-    """Return the square picture of an estimate that no single sensor made: states, edge and scale bar."""
+    """Return the square picture of a joint estimate without a sensor symbol: states, edge and scale bar."""
     canvas = Canvas(_raster(panel, pixels))
     _scale_bar(canvas, 2 * panel.estimate.grid.half_extent_m)
     return canvas
 
 
 def _map(panel: Panel, pixels: int) -> Canvas:
-    """Return the square picture of an estimate: states, edge and points, then sensor, scale bar and direction."""
+    """Return the square picture of an estimate: states, edge, points, sensor symbol, scale bar and direction."""
     canvas, grid = map_picture(panel, pixels), panel.estimate.grid
     (x0, y0), side = grid.origin_m, 2 * grid.half_extent_m
     scale = pixels / side
-    # The sensor, an arrow that points forward, stands at the origin of the level frame.
+    # The sensor symbol is an arrow at the origin of the level frame that points forward.
     column, row = (y0 + side) * scale, (x0 + side) * scale
     size = pixels * (0.012 if pixels > 300 else 0.03)
     arrow = [(0.0, -1.5 * size), (size, size), (0.0, 0.5 * size), (-size, size)]
@@ -288,21 +288,21 @@ def _raster(panel: Panel, pixels: int) -> Pixels:
     if panel.leveled is not None:
         fine = BevGrid(pixels, estimate.grid.half_extent_m, estimate.grid.offset_m)
         _paint_points(image, panel.leveled, fine)
-        # What stands there is drawn above the points, which would hide it.
+        # Draw SURFACE cells again, because the points hide them.
         surface = estimate.state[nearest][:, nearest] == CellState.SURFACE
         image[surface] = palette[CellState.SURFACE]
     return image[::-1, ::-1]
 
 
 def _edge(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return the pixels of a mask that have a neighbor outside it; the rim of the picture is no edge."""
+    """Return the pixels of a mask that have a neighbor outside it; the border of the picture is no edge."""
     padded = np.pad(mask, 1, mode="edge")
     inner = padded[2:, 1:-1] & padded[:-2, 1:-1] & padded[1:-1, 2:] & padded[1:-1, :-2]
     return mask & ~inner
 
 
 def _paint_points(image: Pixels, leveled: LeveledSweep, fine: BevGrid) -> None:
-    """Paint each point in the color of its height, higher ones on top; large pictures show obstacles as 2 × 2."""
+    """Draw points in the color of their height, higher ones on top; obstacles take 2 × 2 pixels in large pictures."""
     low, high = HEIGHTS_M
     order = np.argsort(leveled.height_m, kind="stable")
     cells, inside = fine.index(leveled.points[order])
@@ -327,11 +327,11 @@ def color_map(name: str) -> Pixels:
 
 
 def _value_pixels(values: NDArray[np.float32], colors: str, top: float, pixels: int) -> Pixels:
-    """Return values (cells, cells) from 0 to ``top`` as (pixels, pixels, 3) uint8, white where there is none."""
+    """Return values (cells, cells) from 0 to ``top`` as (pixels, pixels, 3) uint8; white where not finite."""
     nearest = (np.arange(pixels) * len(values)) // pixels
-    shown = values[nearest][:, nearest][::-1, ::-1]
-    known = np.isfinite(shown)
-    level = np.clip(np.where(known, shown, 0.0) / top * 256, 0, 255).astype(np.intp)
+    image = values[nearest][:, nearest][::-1, ::-1]
+    known = np.isfinite(image)
+    level = np.clip(np.where(known, image, 0.0) / top * 256, 0, 255).astype(np.intp)
     return np.where(known[..., None], color_map(colors)[level], np.uint8(255)).astype(np.uint8)
 
 
@@ -340,7 +340,7 @@ def _bytes(colors: NDArray[np.float64]) -> Pixels:
 
 
 def _scale_bar(canvas: Canvas, side_m: float) -> None:
-    """Draw a bar of a round length in the lower right corner."""
+    """Draw a scale bar of a round length in the lower right corner."""
     pixels, points = canvas.width, 8.0 if canvas.width > 300 else 6.0
     length_m = _round_length(side_m / 4)
     length, pad, letters = length_m / side_m * pixels, max(0.012 * pixels, 4.0), 1.6 * points
@@ -367,7 +367,7 @@ def _forward_mark(canvas: Canvas) -> None:
 
 
 def _column_widths(rows: Sequence[Sequence[str]], header: Sequence[str]) -> list[int]:
-    """Return the pixels of each column of a table: its longest words and some room."""
+    """Return the width of each column of a table in pixels: its widest text plus padding."""
     heads = [text_width(words, 9, bold=True) for words in header]
     cells = [[text_width(words, 9) for words in row] for row in rows]
     return [round(max(column)) + 28 for column in zip(heads, *cells, strict=True)]
@@ -376,7 +376,7 @@ def _column_widths(rows: Sequence[Sequence[str]], header: Sequence[str]) -> list
 def _table(
     page: Canvas, rows: Sequence[Sequence[str]], header: Sequence[str], columns: Sequence[int], top: int
 ) -> None:
-    """Draw a table over the width of the page: names at the left, figures at the right of their columns."""
+    """Draw a table over the width of the page; the first column is left-aligned, the others right-aligned."""
     room = page.width - 24 - sum(columns)
     edges = 12 + np.concatenate([[0], np.cumsum(columns)]) + np.arange(len(columns) + 1) * room // len(columns)
     for k, row in enumerate([header, *rows]):
@@ -392,12 +392,12 @@ def _table(
 
 
 def _legend(page: Canvas, columns: int, of: FovEstimate | None = None) -> None:
-    """Draw what the colors of the states mean, and their shares, at the foot of the page; if narrow in two columns."""
+    """Draw the legend of the states, with their shares, at the bottom of the page; in two columns if it is narrow."""
     entries = [(state, words if of is None else f"{of.share(state):.0%} {words}") for state, words in WORDS.items()]
     widest = max(text_width(words, 8.0) for _, words in entries)
     if columns * (widest + 52) > page.width:
         columns = 2
-    wide = min(page.width / 96, 12.0) if columns == 2 else 0.0  # letters that a page of text still shows
+    wide = min(page.width / 96, 12.0) if columns == 2 else 0.0  # font size that stays legible in a document
     points = wide if 2 * (widest * wide / 8 + 52) < page.width and wide > 8 else 8.0 if page.width > 640 else 6.5
     spacing = max(18, round(1.9 * points))
     down = -(-len(entries) // columns)
@@ -413,7 +413,7 @@ def _legend(page: Canvas, columns: int, of: FovEstimate | None = None) -> None:
 
 
 def _height_bar(page: Canvas, left: int, top: int, width: int, height: int) -> None:
-    """Draw which color is which height of a point."""
+    """Draw the color bar of the points' heights."""
     low, high = HEIGHTS_M
     ticks = [(value, f"{value:g}") for value in np.arange(low, high + 0.5)]
     _color_bar(page, "viridis", ticks, high - low, (left, top, width, height))
@@ -422,7 +422,7 @@ def _height_bar(page: Canvas, left: int, top: int, width: int, height: int) -> N
 
 
 def _height_line(page: Canvas, top: int) -> None:
-    """Draw which color is which height of a point, as a line across the page."""
+    """Draw the color bar of the points' heights as a horizontal line."""
     low, high = HEIGHTS_M
     before, after, points, width = f"points by their height: {low:g} m", f"{high:g} m and more above ground", 11.0, 160
     left = (page.width - text_width(before, points) - text_width(after, points) - width - 20) / 2
@@ -436,7 +436,7 @@ def _height_line(page: Canvas, top: int) -> None:
 def _color_bar(
     page: Canvas, colors: str, ticks: Sequence[tuple[float, str]], top_value: float, place: tuple[int, int, int, int]
 ) -> None:
-    """Draw the colors from 0 to ``top_value`` as a bar at (left, top, width, height), with ticks at its right."""
+    """Draw a color bar from 0 to ``top_value`` at (left, top, width, height), with ticks on its right."""
     left, top, width, height = place
     shades = color_map(colors)[(np.arange(height)[::-1] * 256) // height]
     page.paste(Canvas(np.repeat(shades[:, None], width, axis=1)), left, top)
@@ -447,7 +447,7 @@ def _color_bar(
 
 
 def _ticks(top: float) -> list[tuple[float, str]]:
-    """Return round values from 0 to ``top``, four to ten of them, with their words.
+    """Return four to ten round values from 0 to ``top``, with their labels.
 
     >>> _ticks(0.25)
     [(0.0, '0.00'), (0.05, '0.05'), (0.1, '0.10'), (0.15, '0.15'), (0.2, '0.20'), (0.25, '0.25')]

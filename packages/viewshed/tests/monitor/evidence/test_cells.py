@@ -10,7 +10,7 @@ from tests.monitor.evidence.drives import PLATE, YARD, leveled, look, sector_at
 
 from viewshed.geometry import Rigid
 from viewshed.monitor.evidence import EVIDENCE, CellMemory, MonitoredSweep
-from viewshed.monitor.evidence.cells import LEAST_SWEEPS
+from viewshed.monitor.evidence.cells import MIN_SWEEPS
 from viewshed.monitor.evidence.history import view_of
 from viewshed.monitor.stream_monitor import EvidenceStream
 from viewshed.sweep import Sweep
@@ -72,8 +72,8 @@ def test_a_parked_car_may_drive_off_but_not_vanish() -> None:
 
 
 def test_a_stream_remembers_a_second_at_least_and_needs_poses() -> None:
-    young = after(YARD, LEAST_SWEEPS - 1)
-    assert np.isnan(measured(young, "gone", look(YARD, LEAST_SWEEPS, 1.2))).all()
+    young = after(YARD, MIN_SWEEPS - 1)
+    assert np.isnan(measured(young, "gone", look(YARD, MIN_SWEEPS, 1.2))).all()
     stream = after(YARD)
     assert np.isnan(measured(stream, "gone", look(YARD, SWEEPS).replace(world_from_sensor=None))).all()
     assert np.isnan(EVIDENCE["gone"].measure(MonitoredSweep(leveled(look(YARD))))).all()

@@ -13,9 +13,9 @@ from tests.recordings.write.test_recorder import messages_of
 
 from viewshed import load_estimator
 from viewshed.agents.legend import LEGEND
-from viewshed.cli._options import Following
+from viewshed.cli._options import ObjectOptions
 from viewshed.cli._outputs import Failures
-from viewshed.cli._record import Awaited, Listener, run
+from viewshed.cli._record import Listener, PendingSweep, run
 from viewshed.objects.explained import Explanation
 from viewshed.pipeline import Pipeline
 from viewshed.recordings.write.moment import Moment
@@ -33,13 +33,13 @@ def drive() -> list[Moment]:
         replace(preset_named("nuscenes-small"), roadside=1), seconds=0.6, hz=10.0, agents=2, world="street", seed=3
     )
     moments: list[Moment] = []
-    following = Following(fuse=True, attack="fabricate_static", attacked="vehicle_0", attack_from=0.1)
-    adversary = following.adversary()
-    listener = Listener([moments.append], Failures(), is_live=False, following=following, adversary=adversary)
+    object_options = ObjectOptions(fuse=True, attack="fabricate_static", attacked="vehicle_0", attack_from=0.1)
+    adversary = object_options.adversary()
+    listener = Listener([moments.append], Failures(), is_live=False, object_options=object_options, adversary=adversary)
     pipeline = Pipeline(
-        load_estimator("shadow_map"), listener, objects=following.object_stream(adversary), lossless=True
+        load_estimator("shadow_map"), listener, objects=object_options.object_stream(adversary), lossless=True
     )
-    sweeps = (Awaited(sweep.agent, 0.0, sweep, truth) for sweep, truth in drive_sweeps(plan))
+    sweeps = (PendingSweep(sweep.agent, 0.0, sweep, truth) for sweep, truth in drive_sweeps(plan))
     assert run(pipeline, listener, sweeps, adversary) == 18
     return moments
 
@@ -56,8 +56,10 @@ def test_topics_of_objects_and_of_the_center(drive: list[Moment], tmp_path: Path
     assert [json.loads(message.data) for _, message in found["/attacked_agents"]] == [["vehicle_0"]]
     # Where all are attacked the first message names all.
     moments: list[Moment] = []
-    listener = Listener([moments.append], Failures(), is_live=False, adversary=Following(attack="far_wall").adversary())
-    listener._record(drive[0].answer, Awaited(drive[0].agent, 0.0, drive[0].sweep, drive[0].truth), None)
+    listener = Listener(
+        [moments.append], Failures(), is_live=False, adversary=ObjectOptions(attack="far_wall").adversary()
+    )
+    listener._record(drive[0].answer, PendingSweep(drive[0].agent, 0.0, drive[0].sweep, drive[0].truth), None)
     assert list(moments[0].attacked) == agents
     moment = next(each for each in reversed(drive) if each.round is not None)
     done = moment.round

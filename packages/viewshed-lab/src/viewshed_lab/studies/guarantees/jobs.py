@@ -16,7 +16,7 @@ from viewshed.estimators import DEFAULT_ESTIMATOR
 from viewshed.guarantees.conformal import (
     BANDS_M,
     GROUND_STDS_M,
-    LEAST_SCENES,
+    MIN_SCENES,
     PLACE_EDGES,
     THRESHOLDS,
     Calibration,
@@ -120,7 +120,7 @@ def judge(folder: Path, part: str, of: Callable[[dict[str, tuple[Calibration, fl
     own = calibration_of(folder, "car")
     masks = {"guaranteed, calibration of the own scenes": (own, 0.9)}
     others = [_unpacked(line["car"]) for line in lines_of(folder, "development")]
-    if len(others) >= LEAST_SCENES:
+    if len(others) >= MIN_SCENES:
         masks["guaranteed, retested on development, confidence .5"] = (own.retested(others, "development"), 0.5)
     (folder / f"{part}.jsonl").unlink(missing_ok=True)
     for number, found in enumerate(of(masks)):

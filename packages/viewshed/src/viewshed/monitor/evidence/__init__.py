@@ -1,4 +1,4 @@
-"""Evidence that a sweep is not what it seems: a table of measures, in files by what they look at.
+"""Table of all kinds of evidence that a sweep was attacked; the files group them by the data they measure.
 
 To add one, write a function that measures a :class:`MonitoredSweep` and add a row to ``EVIDENCE``.
 """
@@ -27,7 +27,7 @@ __all__ = [
 ]
 
 EVIDENCE: dict[str, Evidence] = {evidence.name: evidence for evidence in (
-    # Obstacles, surfaces, beams and poses against the sweeps before.
+    # Obstacles, surfaces, beams and poses against the last sweeps.
     Evidence("arrival", history.measure_arrival, 5.0,
              "an obstacle at {degrees:.0f}° must have come there at {value:.0f} m/s",
              version=2),
@@ -49,7 +49,7 @@ EVIDENCE: dict[str, Evidence] = {evidence.name: evidence for evidence in (
     Evidence("no_return", history.measure_no_return, 0.1,
              "{value:.0%} of the beams at {degrees:.0f}° that returned in all sweeps before return nothing",
              version=3),
-    # Standing surfaces and empty places of the last ten seconds.
+    # Static surfaces and free cells of the last ten seconds.
     Evidence("gone", cells.measure_gone, 0.5,
              "{value:.1f} m of surfaces at {degrees:.0f}° that stood for seconds are gone, and beams pass there"),
     Evidence("out_of_nowhere", cells.measure_new, 0.5,
@@ -59,7 +59,7 @@ EVIDENCE: dict[str, Evidence] = {evidence.name: evidence for evidence in (
     Evidence("jump", sensor.measure_jump, 0.25,
              "the sensor jumped by {value:.1f} m against its own motion",
              version=2),
-    # The state of the sensor, which means nothing but against the past of the stream.
+    # State of the sensor: meaningful only against the past of the stream.
     Evidence("sensor_height", sensor.measure_sensor_height, 1.0,
              "the sensor is {value:.2f} m above the ground, unlike before", two_sided=True, of_place=True),
     Evidence("returns", sensor.measure_returns, 10.0,
@@ -74,9 +74,9 @@ EVIDENCE: dict[str, Evidence] = {evidence.name: evidence for evidence in (
              "{value:.1%} of the returns are isolated, unlike before", two_sided=True,
              version=2),
 )}  # fmt: skip
-"""By name, in the order of a score's rows."""
+"""Kinds of evidence by name, in the order of the rows (E, SECTORS) of a score."""
 
 
 def measure_all(monitored: MonitoredSweep, evidence: Mapping[str, Evidence] = EVIDENCE) -> F32:
-    """Return what every evidence measures (E, SECTORS), in the order of ``evidence``; NaN where it abstains."""
+    """Return all evidence (E, SECTORS) of a sweep, in the order of ``evidence``; NaN where it abstains."""
     return np.array([one.measure(monitored) for one in evidence.values()], np.float32).reshape(-1, SECTORS)

@@ -1,4 +1,4 @@
-"""What a monitor looks at: kinds of evidence, each a number for every sector of azimuth around the sensor."""
+"""Interface of evidence: each kind measures one number for every sector of azimuth around the sensor."""
 
 from __future__ import annotations
 
@@ -19,22 +19,22 @@ SECTORS = 72
 """Sectors of azimuth in the level frame, 5° each; sector 0 begins behind the sensor, at -π, counter-clockwise."""
 
 EARLIER_SWEEPS = 5
-"""Earlier sweeps that evidence is given at most."""
+"""Maximum number of earlier sweeps given to evidence."""
 
 ABSTAINS: F32 = np.full(SECTORS, np.nan, np.float32)
-"""What evidence says that cannot be had of this sweep (without earlier sweeps, rings or a pose)."""
+"""Evidence that cannot be measured on this sweep (without earlier sweeps, rings or a pose)."""
 ABSTAINS.setflags(write=False)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MonitoredSweep:
-    """What evidence is handed.
+    """Input of evidence.
 
     Attributes:
-        leveled: the sweep now.
-        earlier: sweeps of the same sensor before it, leveled, the oldest first; those without a pose or a time help
+        leveled: the current sweep.
+        earlier: earlier sweeps of the same sensor, leveled, the oldest first; those without a pose or a time serve
             only evidence that needs neither.
-        memory: of the sweeps before it; None for none.
+        memory: cells of the earlier sweeps, or None.
     """
 
     leveled: LeveledSweep
@@ -47,17 +47,16 @@ class Evidence:
     """One kind of evidence.
 
     Attributes:
-        name: of the evidence, as in ``EVIDENCE``.
+        name: as in ``EVIDENCE``.
         measure: returns (SECTORS,) float32 numbers of a monitored sweep; NaN in sectors, or everywhere, where it
-            abstains. What is of the whole sweep is the same in all sectors.
-        grain: numbers that differ by less say the same; numbers are compared as log(1 + number / grain).
-        sentence: why one would worry, with places for ``{value}``, the number of its strongest sector, and
-            ``{degrees}``, the middle of that sector's azimuth.
-        two_sided: a smaller number than before is as suspicious as a larger one; else only a larger one is.
-        of_place: it changes as well where the sensor comes to another place, together with the others that do: all of
-            them count as one.
-        version: raised by one when ``measure`` gives other numbers: monitors that were calibrated on those before are
-            void then.
+            abstains. A number of the whole sweep is repeated in all sectors.
+        grain: resolution; numbers are compared as log(1 + number / grain).
+        sentence: reason for a report, with placeholders ``{value}``, the number of the strongest sector, and
+            ``{degrees}``, the center of that sector's azimuth.
+        two_sided: a decrease is as suspicious as an increase; else only an increase is.
+        of_place: also changes when the sensor comes to another place. All such kinds count as one, because they change
+            together.
+        version: raised by one when ``measure`` gives other numbers, which invalidates existing calibrations.
     """
 
     name: str
@@ -69,7 +68,7 @@ class Evidence:
     version: int = 1
 
     def reason(self, sectors: F32) -> str:
-        """Return the sentence about the strongest sector of what was measured (SECTORS,)."""
+        """Return the sentence about the strongest of the measured sectors (SECTORS,)."""
         strongest = int(np.nanargmax(sectors))
         degrees = (strongest + 0.5) * 360.0 / SECTORS - 180.0
         return self.sentence.format(value=float(sectors[strongest]), degrees=degrees)

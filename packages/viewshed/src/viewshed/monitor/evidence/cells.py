@@ -1,8 +1,8 @@
-"""Evidence against the cells of the last ten seconds: standing surfaces that are gone, obstacles out of nowhere.
+"""Evidence against the cells of the last ten seconds: static surfaces that vanish, obstacles that appear from nowhere.
 
-Two sweeps cannot tell an edge, a fence or a thin pole, which some beams meet and some pass, from a thing that vanished.
-Cells that stand still in the world can: only what stood for a second in nearly all sweeps counts, and only what stands
-where no sweep of the last ten seconds ever met an obstacle. Without poses nothing is remembered.
+Two sweeps cannot distinguish a vanished object from an edge, a fence or a thin pole, which some beams hit and some
+miss. Cells fixed in the world can: a surface counts as gone only if nearly all sweeps of a second saw it, and an
+obstacle as new only if no sweep of the last ten seconds saw one there. Sweeps without poses are not remembered.
 """
 
 from __future__ import annotations
@@ -18,22 +18,22 @@ from viewshed import _core
 from viewshed.arrays import F32
 from viewshed.geometry import Rigid
 from viewshed.monitor.evidence.base import ABSTAINS, SECTORS, MonitoredSweep
-from viewshed.monitor.evidence.history import FOLLOWED, USUAL_GAP_S, compare, rows_of, view_of
+from viewshed.monitor.evidence.history import FOLLOWED, USUAL_GAP_S, compare, transform_rows, view_of
 from viewshed.preprocess.leveling import LeveledSweep
 
-LEAST_SWEEPS = 12
-"""Sweeps that are remembered before anything is said: what stands must have stood for a second."""
+MIN_SWEEPS = 12
+"""Minimum number of remembered sweeps (a second) before the memory is used."""
 
 FAR_M = 2000.0
-"""Farther from where it began the memory begins anew, or cells could not be numbered finely enough."""
+"""The memory restarts farther than this from its origin, because cell numbers are limited."""
 
 
 @dataclass(slots=True, eq=False, weakref_slot=True)
 class CellMemory:
-    """The obstacles of the last ten seconds of a stream, in cells of half a meter that stand still in the world.
+    """The obstacles of the last ten seconds of a stream, in cells of half a meter fixed in the world.
 
     Attributes:
-        sweeps: that were added since the memory began.
+        sweeps: number of sweeps added since the memory began.
     """
 
     sweeps: int = 0
@@ -42,11 +42,11 @@ class CellMemory:
     _begin_ns: int = 0
 
     def copy(self) -> CellMemory:
-        """Return a memory of the same, which forgets and learns by itself."""
+        """Return an independent copy."""
         return CellMemory(self.sweeps, self._cells.copy(), self._origin_m, self._begin_ns)
 
     def add(self, leveled: LeveledSweep) -> None:
-        """Remember the obstacles of a sweep; one without a pose or rings teaches nothing."""
+        """Remember the obstacles of a sweep; ignored without a pose or rings."""
         view, pose, now_ns = view_of(leveled), leveled.sweep.world_from_sensor, leveled.sweep.t_ns
         if view is None or pose is None:
             return
@@ -57,10 +57,10 @@ class CellMemory:
         self.sweeps += 1
 
     def check(self, monitored: MonitoredSweep) -> tuple[F32, F32] | None:
-        """Return what a sweep contradicts (SECTORS,) each, see ``_core.CellMemory.check``; None where it cannot."""
+        """Return gone surfaces and new obstacles (SECTORS,), see ``_core.CellMemory.check``; None if not comparable."""
         now = monitored.leveled
         view, pose, comparison = view_of(now), now.sweep.world_from_sensor, compare(monitored)
-        if view is None or pose is None or comparison is None or self.sweeps < LEAST_SWEEPS or self._is_far(pose):
+        if view is None or pose is None or comparison is None or self.sweeps < MIN_SWEEPS or self._is_far(pose):
             return None
         return self._cells.check(
             view, self._from_memory(pose), self._seconds_at(now.sweep.t_ns), comparison.earlier[:FOLLOWED],
@@ -71,29 +71,29 @@ class CellMemory:
         return float(np.abs(pose.translation - self._origin_m).max()) > FAR_M
 
     def _seconds_at(self, t_ns: int | None) -> float:
-        """Return the time since the memory began; of sweeps without times by their number."""
+        """Return the seconds since the memory began; without times by the number of sweeps."""
         return self.sweeps * USUAL_GAP_S if t_ns is None else (t_ns - self._begin_ns) * 1e-9
 
     def _memory_from(self, pose: Rigid) -> F32:
-        return rows_of(pose.rotation, pose.translation - self._origin_m)
+        return transform_rows(pose.rotation, pose.translation - self._origin_m)
 
     def _from_memory(self, pose: Rigid) -> F32:
         back = pose.rotation.T
-        return rows_of(back, back @ (self._origin_m - pose.translation))
+        return transform_rows(back, back @ (self._origin_m - pose.translation))
 
 
 def _part(part: int) -> Callable[[MonitoredSweep], F32]:
-    """Return what measures a part of what a sweep contradicts; it abstains without a memory, poses or rings."""
+    """Return the measure of one part of ``CellMemory.check``; it abstains without a memory, poses or rings."""
 
     def measure(monitored: MonitoredSweep) -> F32:
         if monitored.memory is None:
             return ABSTAINS
-        # Both kinds of evidence are of one look.
+        # Cached: both kinds of evidence come from one check.
         key = ("cells", ref(monitored.memory), monitored.memory.sweeps)
         if key not in monitored.leveled.derived:
             monitored.leveled.derived[key] = monitored.memory.check(monitored)
-        found: tuple[F32, F32] | None = monitored.leveled.derived[key]
-        return ABSTAINS if found is None else found[part]
+        contradictions: tuple[F32, F32] | None = monitored.leveled.derived[key]
+        return ABSTAINS if contradictions is None else contradictions[part]
 
     return measure
 

@@ -1,4 +1,4 @@
-"""Evidence of a sweep against those before it: obstacles that come and leave, lost views, repeated noise, poses."""
+"""Evidence against the last sweeps: obstacles that appear or vanish, new ranges, repeated noise, poses that jump."""
 
 from __future__ import annotations
 
@@ -17,55 +17,56 @@ from viewshed.monitor.evidence.base import ABSTAINS, SECTORS, MonitoredSweep, se
 from viewshed.preprocess.leveling import LeveledSweep
 from viewshed.sweep import Sweep
 
-MOST_GAP_S = 0.6
-"""Sweeps that lie further apart in time are not compared."""
+MAX_GAP_S = 0.6
+"""Sweeps farther apart in time are not compared."""
 
 USUAL_RANGE_M = 10.0
-"""Range at which a turn of the pose moves surfaces."""
+"""Typical range of a surface: converts a yaw error of the pose into meters."""
 
 USUAL_GAP_S = 0.1
-"""Time between two sweeps that have no times."""
+"""Assumed time between sweeps without times."""
 
 FOLLOWED = 3
-"""Sweeps through which an obstacle is followed back."""
+"""Number of earlier sweeps through which an obstacle is tracked back."""
 
-LEAST_RETURNS = 100
-"""A sweep with fewer returns shows nothing."""
+MIN_RETURNS = 100
+"""Minimum number of returns of a sweep that can be compared."""
 
 SURE_YAW, SURE_SHIFT_M = np.deg2rad(0.1), 0.1
-"""Deviations of a pose that are no cause for worry: time stamps, motion within a sweep, the grain of its returns."""
+"""Normal pose errors (standard deviation): time stamps, motion within a sweep, spacing of its returns."""
 
 SIGMA_M = 0.05
-"""Least deviation of a return from its surface."""
+"""Minimum standard deviation of a return from its surface."""
 
 DEPENDENT = 4.0
-"""This number of returns of one surface says no more than one."""
+"""Returns of one surface are correlated: this many count as one."""
 
 ENOUGH_SEEN, CARRIED_M = 0.25, 1.0
-"""A shift is seen where this share of the returns shows it; fewer may lie on cars beside, which drove about so far."""
+"""A direction of shift is well observed if this share of the returns constrains it. Fewer may lie on moving cars, which
+adds up to this standard deviation."""
 
-LEAST_MATCHES = 80
-"""Returns on surfaces that an estimated pose needs."""
+MIN_MATCHES = 80
+"""Minimum number of returns on surfaces for an estimate of the pose."""
 
-_STAYS = np.eye(3, 4, dtype=np.float32)
+_IDENTITY = np.eye(3, 4, dtype=np.float32)
 
 _SECTOR = 2 * np.pi / SECTORS
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Comparison:
-    """A sweep held against those before it, the newest first: K of them, with poses.
+    """A sweep compared with K earlier ones that have poses, the newest first.
 
     Attributes:
-        view: what the sweep saw.
-        earlier: what those before it saw.
-        to_earlier: (K, 3, 4) transforms from the sensor's frame now to the sensor's frames then.
-        gaps_s: (K,) time from each to the next one.
-        arrival_mps: (SECTORS,) speed that obstacles need to have come from the nearest cover. What stands where a beam
-            passed freely came from behind an obstacle, from beyond the beams, or was one of the things near by. Where
-            the last sweep found the obstacle as well, the one before it is used: it gives itself away for three.
-        departure_mps: (SECTORS,) speed that obstacles of the last sweep need to have left as they did: the distance to
-            the nearest place where they may be now, over the time between the two.
+        view: of the sweep.
+        earlier: views of the earlier sweeps.
+        to_earlier: (K, 3, 4) transforms from the current sensor frame to the earlier ones.
+        gaps_s: (K,) time from each earlier sweep to the next one.
+        arrival_mps: (SECTORS,) minimum speed at which obstacles came from the nearest cover. An obstacle where a beam
+            passed freely before came from behind an obstacle, from outside the beams, or is a nearby object that moved.
+            If the last sweep saw it too, the one before that is used, so an appearance shows for three sweeps.
+        departure_mps: (SECTORS,) minimum speed at which obstacles of the last sweep left: the distance to the nearest
+            place where they can be now, over the time between the two.
     """
 
     view: _core.SweepView
@@ -77,24 +78,24 @@ class Comparison:
 
 
 def view_of(leveled: LeveledSweep) -> _core.SweepView | None:
-    """Return what a sweep saw, made once; None where its rings are not known or it has hardly any return."""
-    # Each sweep of a stream is compared with five after it.
+    """Return the (cached) view of a sweep; None if its rings are not known or it has too few returns."""
+    # Cached, because each sweep of a stream is compared with five later ones.
     view: _core.SweepView | None = leveled.derived.get(("sweep_view",))
     image = leveled.range_image
-    if view is not None or image is None or len(leveled.points) < LEAST_RETURNS or image.columns < SECTORS:
+    if view is not None or image is None or len(leveled.points) < MIN_RETURNS or image.columns < SECTORS:
         return view
     elevation = image.elevation if np.isfinite(image.elevation).all() else _elevations(leveled, len(image.elevation))
     from_level = leveled.level_from_sensor.rotation.T
     view = leveled.derived[("sweep_view",)] = _core.SweepView(
         image.squared_range_m2, image.phase, elevation.astype(np.float32), image.origin_m.astype(np.float32),
         leveled.points, leveled.height_m, leveled.range_m, leveled.azimuth, image.isolated[leveled.rows],
-        rows_of(from_level, -from_level @ leveled.level_from_sensor.translation),
+        transform_rows(from_level, -from_level @ leveled.level_from_sensor.translation),
     )  # fmt: skip
     return view
 
 
 def _elevations(leveled: LeveledSweep, rings: int) -> NDArray[np.float64]:
-    """Return the mean elevation (rings,) of the returns of each ring; of those without returns, what lies between."""
+    """Return the mean elevation (rings,) of each ring's returns, interpolated for rings without returns."""
     step = max(len(leveled.sweep) // 4000, 1)  # 4,000 rows are enough for a mean
     points, ring = leveled.sweep.points[::step].astype(np.float64), leveled.sensor_id.ring
     assert ring is not None  # there is a range image
@@ -108,20 +109,20 @@ def _elevations(leveled: LeveledSweep, rings: int) -> NDArray[np.float64]:
 
 
 def compare(monitored: MonitoredSweep) -> Comparison | None:
-    """Return a sweep held against those before it, up to the first of them that cannot be compared; None without any.
+    """Return a sweep compared with the earlier ones, back to the first that is not comparable; None if none is.
 
-    That is one without a view or a pose, or that is not before the next one by its time.
+    A sweep without a view or a pose, or one that is not older than the next, is not comparable.
     """
     now = monitored.leveled
     view, pose = view_of(now), now.sweep.world_from_sensor
     if view is None or pose is None:
         return None
-    # 1. The earlier sweeps that can be compared, the newest first.
+    # 1. Comparable earlier sweeps, the newest first.
     earlier, views, poses, gaps = list[LeveledSweep](), list[_core.SweepView](), list[Rigid](), list[float]()
     for before in reversed(monitored.earlier):
         seen, at = view_of(before), before.sweep.world_from_sensor
         gap_s = _seconds_between(before, earlier[-1] if earlier else now)
-        if seen is None or at is None or not 0.0 < gap_s <= MOST_GAP_S:
+        if seen is None or at is None or not 0.0 < gap_s <= MAX_GAP_S:
             break
         earlier.append(before)
         views.append(seen)
@@ -129,20 +130,20 @@ def compare(monitored: MonitoredSweep) -> Comparison | None:
         gaps.append(gap_s)
     if not earlier:
         return None
-    # Most evidence needs the same comparison; it holds no sweep, or the past of a stream would be kept.
+    # Cached for all evidence. The key holds weak references, so that the past of a stream is not kept alive.
     key = ("comparison", *map(ref, earlier))
     comparison: Comparison | None = now.derived.get(key)
     if comparison is None:
-        # 2. Where the sensor is now, seen from where it was.
+        # 2. Transforms from the current sensor frame to the earlier ones.
         turned = np.stack([at.rotation.T for at in poses])
         shifts_m = np.stack([pose.translation - at.translation for at in poses])
         to_earlier = np.empty((len(poses), 3, 4), np.float32)
         to_earlier[:, :, :3] = turned @ pose.rotation
         to_earlier[:, :, 3] = np.einsum("kij,kj->ki", turned, shifts_m)
-        from_last = rows_of(to_earlier[0, :, :3].T, -pose.rotation.T @ shifts_m[0])
+        from_last = transform_rows(to_earlier[0, :, :3].T, -pose.rotation.T @ shifts_m[0])
         gaps_s = np.array(gaps, np.float32)
-        # 3. Obstacles now where they were not, and those of the last sweep where they are not now.
-        came = view.follow(views[:FOLLOWED], to_earlier[:FOLLOWED], gaps_s[:FOLLOWED], view, _STAYS, SECTORS)
+        # 3. Obstacles that appeared, and obstacles of the last sweep that vanished.
+        came = view.follow(views[:FOLLOWED], to_earlier[:FOLLOWED], gaps_s[:FOLLOWED], view, _IDENTITY, SECTORS)
         left = views[0].follow([view], from_last[None], gaps_s[:1], view, from_last, SECTORS)
         comparison = now.derived[key] = Comparison(view, views, to_earlier, gaps_s, came, left)
     return comparison
@@ -154,13 +155,13 @@ def _seconds_between(before: LeveledSweep, after: LeveledSweep) -> float:
     return USUAL_GAP_S if first_ns is None or last_ns is None else (last_ns - first_ns) / 1e9
 
 
-def rows_of(rotation: NDArray[np.floating[Any]], translation: NDArray[np.floating[Any]]) -> F32:
+def transform_rows(rotation: NDArray[np.floating[Any]], translation: NDArray[np.floating[Any]]) -> F32:
     """Return the upper rows (3, 4) of a transform."""
     return np.column_stack([rotation, translation]).astype(np.float32, order="C")
 
 
 def _part(part: Callable[[Comparison], F32]) -> Callable[[MonitoredSweep], F32]:
-    """Return what measures a part of a sweep's comparison; it abstains without poses, earlier sweeps or rings."""
+    """Return the measure of one field of the comparison; it abstains without poses, earlier sweeps or rings."""
 
     def measure(monitored: MonitoredSweep) -> F32:
         comparison = compare(monitored)
@@ -174,31 +175,30 @@ measure_departure = _part(lambda comparison: comparison.departure_mps)
 
 
 def measure_registration(monitored: MonitoredSweep) -> F32:
-    """Return how far the pose is off, in units of what is known of that (SECTORS,), the same in all sectors.
+    """Return the Mahalanobis distance of the pose from scan registration (SECTORS,), the same in all sectors.
 
-    Sweeps laid over each other by their poses must show one world. The obstacles of this sweep are put on the surfaces
-    of earlier ones; a turn and a shift that lay them better are estimated, point to plane. A direction in which nothing
-    is seen, as along a tunnel or on an open field, has no information and so no weight. The sweep before tells of a
-    pose that jumps, the oldest one when all poses since are off by the same: the greater one counts.
+    Point-to-plane registration estimates the yaw and shift that align this sweep's obstacles with the surfaces of
+    earlier sweeps. Directions without structure (along a tunnel, on an open field) carry no information and no weight.
+    The last sweep reveals a pose that jumps, the oldest one a common offset of all poses since; the larger counts.
     """
     comparison = compare(monitored)
     if comparison is None:
         return ABSTAINS
     compared = sorted({0, len(comparison.earlier) - 1})
-    found = comparison.view.register_on([comparison.earlier[k] for k in compared], comparison.to_earlier[compared])
-    # What is stated of the poses is no deviation.
+    fits = comparison.view.register_on([comparison.earlier[k] for k in compared], comparison.to_earlier[compared])
+    # The stated covariance of the poses is allowed for.
     now, before = monitored.leveled.sweep, [monitored.earlier[-1 - k].sweep for k in compared]
     stated = [_covariance_of(now, frame) + _covariance_of(frame, frame) for frame in before]
     distances = [
         _deviations(step, information, sigma_m, matches, covariance)
-        for step, information, sigma_m, matches, covariance in zip(*found, stated, strict=True)
-        if matches >= LEAST_MATCHES
+        for step, information, sigma_m, matches, covariance in zip(*fits, stated, strict=True)
+        if matches >= MIN_MATCHES
     ]
     return np.full(SECTORS, max(distances), np.float32) if distances else ABSTAINS
 
 
 def _covariance_of(sweep: Sweep, frame: Sweep) -> NDArray[np.float64]:
-    """Return the stated covariance (3, 3) of a sweep's pose: turn, and shift in the frame of a sensor; 0 without."""
+    """Return the stated covariance (3, 3) of a sweep's yaw and shift, in the sensor frame of ``frame``; 0 without."""
     covariance, pose = np.zeros((3, 3)), frame.world_from_sensor
     if sweep.pose_covariance is not None and pose is not None:
         place = pose.rotation.T @ sweep.pose_covariance[:3, :3] @ pose.rotation
@@ -210,14 +210,14 @@ def _deviations(
     step: NDArray[np.float64], information: NDArray[np.float64], sigma_m: float, matches: int,
     stated: NDArray[np.float64],
 ) -> float:  # fmt: skip
-    """Return the Mahalanobis distance of a turn and a shift (3,) with their information (3, 3) for unit noise.
+    """Return the Mahalanobis distance of yaw and shift (3,), given their information (3, 3) at unit noise.
 
-    stated is the covariance of both that is known beside.
+    ``stated`` is the stated covariance of the poses, which is added.
     """
     variance_m2 = max(sigma_m, SIGMA_M) ** 2 * DEPENDENT
     covariance = variance_m2 * np.linalg.inv(information + 1e-6 * np.eye(3))
     covariance += np.diag([SURE_YAW**2, SURE_SHIFT_M**2, SURE_SHIFT_M**2]) + stated
-    # Directions of shift that few returns show: those may lie on things that move.
+    # Inflate directions of shift that few returns constrain: those may lie on moving objects.
     seen, directions = np.linalg.eigh(information[1:, 1:] / matches)
     carried_m = CARRIED_M * np.clip(1.0 - seen / ENOUGH_SEEN, 0.0, 1.0)
     covariance[1:, 1:] += (directions * carried_m**2) @ directions.T
@@ -226,42 +226,43 @@ def _deviations(
 
 
 def measure_same_noise(monitored: MonitoredSweep) -> F32:
-    """Return the share by sector (SECTORS,) of ranges that repeat an earlier sweep's, beyond what noise repeats.
+    """Return the share (SECTORS,) of ranges whose noise repeats an earlier sweep's, beyond chance.
 
-    A replayed sweep, or a sensor that is frozen: each range has noise of its own, so two sweeps of one scene differ,
-    even from one place. Where the difference between the two is the same for a beam and its neighbor, to less than the
-    sensor's noise, one sweep was made of the other. Neighbors are compared, not ranges, because undoing another motion
-    shifts all ranges of a direction alike. Sensors report whole steps of range, so some differences are equal by
-    chance: about as many as differ by one step, which are subtracted.
+    Detects a replayed sweep or a frozen sensor. Each range has independent noise, so two sweeps of one scene differ,
+    even from one place. If the difference between two sweeps is equal for a beam and its neighbor, to less than the
+    sensor's noise, one sweep was made from the other. Neighbors are compared instead of ranges, because a motion
+    correction shifts all ranges of a direction alike. Ranges are quantized, so some differences are equal by chance:
+    about as many as differ by one step, which are subtracted.
 
-    Of the earlier sweep that is most alike. Needs no poses; abstains without earlier sweeps of the same image or rings.
+    Uses the most similar earlier sweep. Needs no poses; abstains without rings or earlier sweeps of the same image
+    size.
     """
     view, image = view_of(monitored.leveled), monitored.leveled.range_image
     if view is None or image is None:
         return ABSTAINS
     views = [
         before
-        for each in monitored.earlier
-        if each.range_image is not None
-        and each.range_image.counts.shape == image.counts.shape
-        and (before := view_of(each)) is not None
+        for sweep in monitored.earlier
+        if sweep.range_image is not None
+        and sweep.range_image.counts.shape == image.counts.shape
+        and (before := view_of(sweep)) is not None
     ]
     if not views:
         return ABSTAINS
     shares = view.repeats(views, SECTORS)
-    alike = int(np.argmax(np.nan_to_num(shares, nan=-1.0).mean(axis=1)))
-    return np.asarray(np.maximum(shares[alike], np.float32(0.0)))
+    most_similar = int(np.argmax(np.nan_to_num(shares, nan=-1.0).mean(axis=1)))
+    return np.asarray(np.maximum(shares[most_similar], np.float32(0.0)))
 
 
 def _new_range(part: int) -> Callable[[MonitoredSweep], F32]:
-    """Return what measures a part of ``SweepView.new_ranges`` against three sweeps; it abstains without them or rings.
+    """Return the measure of one part of ``SweepView.new_ranges``; it abstains without rings or three earlier sweeps.
 
-    Of the returns of a sector the share that is nearer, or farther, than all that the beams about them had in the last
-    three sweeps, and of the beams that returned in all of those the share that does not now; each as the mean of 25°,
-    for what attacks is wider than an edge. What passes near by covers and uncovers as much: a range is new only if no
-    beam within 1.5 m beside had such a one. Beams silenced within 2 m say nothing. It holds the ground and what is
-    higher than a car as well, wherever it may have come from: cover is near everywhere indoors. Poses say how the
-    sensor turned; without them it went straight on.
+    The parts are the share of a sector's returns that are nearer (0) or farther (1) than all ranges of the beams around
+    them in the last three sweeps, and the share of beams that returned in all three but not now (2). Each is averaged
+    over 25°, because an attack is wider than an edge. Passing objects cover and uncover ranges too, so a range is new
+    only if no beam within 1.5 m to the side had a similar one. Beams silenced within 2 m do not count. Ground and
+    objects higher than a car count too, whether or not cover is near, because indoors cover is near everywhere. Poses
+    give the turn of the sensor; without them it is taken as 0.
     """
 
     def measure(monitored: MonitoredSweep) -> F32:
@@ -273,15 +274,15 @@ def _new_range(part: int) -> Callable[[MonitoredSweep], F32]:
             return ABSTAINS
         key = ("new_ranges", *map(ref, monitored.earlier))
         if key not in now.derived:
-            turned = [_turn_between(before, now) for before in monitored.earlier[-FOLLOWED:]]
-            # Columns are about the sensor, sectors about the level frame.
-            about = np.arctan2(now.level_from_sensor.rotation[1, 0], now.level_from_sensor.rotation[0, 0])
-            found = np.stack(view.new_ranges(views, turned, SECTORS))
-            found[2] *= ~_begin_of(now, turned[-1])
-            found = np.roll(found, round(float(about) / _SECTOR), axis=1)
-            now.derived[key] = np.mean([np.roll(found, step, axis=1) for step in (-2, -1, 0, 1, 2)], axis=0)
-        every: F32 = now.derived[key][part]
-        return every
+            turns = [_turn_between(before, now) for before in monitored.earlier[-FOLLOWED:]]
+            # Columns are in the sensor frame, sectors in the level frame.
+            yaw = np.arctan2(now.level_from_sensor.rotation[1, 0], now.level_from_sensor.rotation[0, 0])
+            shares = np.stack(view.new_ranges(views, turns, SECTORS))
+            shares[2] *= ~_seam_of(now, turns[-1])
+            shares = np.roll(shares, round(float(yaw) / _SECTOR), axis=1)
+            now.derived[key] = np.mean([np.roll(shares, step, axis=1) for step in (-2, -1, 0, 1, 2)], axis=0)
+        share: F32 = now.derived[key][part]
+        return share
 
     return measure
 
@@ -290,7 +291,7 @@ measure_nearer, measure_farther, measure_no_return = map(_new_range, range(3))
 
 
 def _turn_between(before: LeveledSweep, after: LeveledSweep) -> float:
-    """Return by how many radians the sensor turned from one sweep to another; 0 without poses."""
+    """Return the yaw in radians by which the sensor turned from one sweep to another; 0 without poses."""
     then, now = before.sweep.world_from_sensor, after.sweep.world_from_sensor
     if then is None or now is None:
         return 0.0
@@ -298,33 +299,33 @@ def _turn_between(before: LeveledSweep, after: LeveledSweep) -> float:
     return float(np.arctan2(turn[1, 0], turn[0, 0]))
 
 
-def _begin_of(leveled: LeveledSweep, turned: float) -> NDArray[np.bool_]:
-    """Return the mask (SECTORS,) of where a sweep begins, which does not close by what the sensor turned."""
-    # A sweep begins at its first return, or straight behind where it has no times.
+def _seam_of(leveled: LeveledSweep, turn: float) -> NDArray[np.bool_]:
+    """Return the mask (SECTORS,) of the seam where a sweep begins and ends: the sensor's turn leaves a gap there."""
+    # A sweep begins at its first return, or straight behind if it has no times.
     sweep, begin = leveled.sweep, -np.pi
     if sweep.time_s is not None and len(sweep):
         x, y, _ = sweep.points[int(np.argmin(sweep.time_s))]
         begin = float(np.arctan2(y, x))
-    # Half of the gap to either side, and half a sector for what it cuts.
-    edges = np.arange(-abs(turned) / 2 - _SECTOR / 2, abs(turned) / 2 + _SECTOR, _SECTOR / 2)
+    # Half of the gap to either side, and half a sector for sectors that it cuts.
+    edges = np.arange(-abs(turn) / 2 - _SECTOR / 2, abs(turn) / 2 + _SECTOR, _SECTOR / 2)
     mask = np.zeros(SECTORS, np.bool_)
     mask[sector_of(begin + edges)] = True
     return mask
 
 
 def measure_frame_noise(monitored: MonitoredSweep) -> F32:
-    """Return the median second difference of range by sector (SECTORS,), m, over this sweep and the two before it.
+    """Return the median second difference of range (SECTORS,), m, over this sweep and the two before it.
 
-    A spoofer times all its pulses by one clock, which is off by some decimeters in each sweep anew; so what it shows
-    jumps to and fro as a whole, along the beams, while the world stands still. Things that move at a constant speed do
-    not: their second difference is zero. Poses that are stated to be noisy make surfaces jump as well: what lies
-    within two standard deviations of that is no jump. Abstains without poses, two earlier sweeps or rings.
+    A spoofer times all its pulses by one clock, which is off by some decimeters anew in each sweep, so its phantom
+    jumps back and forth along the beams as a whole. Objects at constant speed have a second difference of zero. Noisy
+    poses make surfaces jump too: two standard deviations of their stated covariance are subtracted. Abstains without
+    poses, two earlier sweeps or rings.
     """
     comparison = compare(monitored)
     if comparison is None or len(comparison.earlier) < 2:
         return ABSTAINS
     jump_m = comparison.view.jumps(comparison.earlier[:2], comparison.to_earlier[:2], comparison.gaps_s[:2], SECTORS)
-    # A surface is at constant speed where (1 - ratio) now + ratio last - second is zero.
+    # Constant speed means (1 - ratio) · now + ratio · last - second = 0; errors of the poses propagate accordingly.
     sweeps = [monitored.leveled.sweep, monitored.earlier[-1].sweep, monitored.earlier[-2].sweep]
     ratio = 1.0 + float(comparison.gaps_s[1] / comparison.gaps_s[0])
     weights = (1.0 - ratio, ratio, 1.0)

@@ -1,6 +1,7 @@
-"""Evidence of the sensor's state: numbers of a whole sweep that change slowly while nobody interferes.
+"""Evidence of the sensor's state: numbers of a whole sweep that change slowly without an attack.
 
-Each needs neither rings nor a pose. None means anything by itself: a monitor compares it with the stream's own past.
+None needs rings or a pose, except that ``measure_isolated`` needs rings. None is meaningful by itself: a monitor
+compares it with the stream's own past.
 """
 
 from __future__ import annotations
@@ -19,21 +20,21 @@ from viewshed.monitor.evidence.history import USUAL_GAP_S
 from viewshed.preprocess.leveling import LeveledSweep
 
 _NEAR_M = 2.0
-"""Returns up to this range, of the vehicle itself and of what blinds the sensor."""
+"""Near returns lie within this range: the vehicle itself, or something that blinds the sensor."""
 
 _STEP_SHARE, _STEP_M = 0.03, 0.05
-"""Neighboring returns are on one surface if their ranges differ by less than this share and distance."""
+"""Consecutive returns are on one surface if their ranges differ by less than this share and distance."""
 
-_LEAST_RETURNS = 200
+_MIN_RETURNS = 200
 
 _GROUND_M = 0.3
-"""Ground is lower than this above or below the local ground."""
+"""Ground returns lie within this height above or below the local ground."""
 
 _CELLS, _CELL_M, _SHIFTS = 256, 0.25, 16
-"""Cells in which sweeps are laid over each other, their size, and the largest shift in cells: 4 m."""
+"""Grid that aligns sweeps: cells a side, their size, and the largest shift in cells (4 m)."""
 
-_LEAST_CELLS, _CLEARER_BY = 20, 3
-"""A shift is known if it matches at least 20 cells, and 3 more than any shift that is not beside it."""
+_MIN_CELLS, _CLEARER_BY = 20, 3
+"""A shift is known if it matches at least 20 cells, and 3 more than any shift that is not adjacent to it."""
 
 
 def measure_sensor_height(monitored: MonitoredSweep) -> F32:
@@ -56,25 +57,25 @@ def measure_near_returns(monitored: MonitoredSweep) -> F32:
 def measure_range_noise(monitored: MonitoredSweep) -> F32:
     """Return the noise of range in meters (SECTORS,), the same in all sectors.
 
-    The lower quartile of second differences of range between returns that follow each other in the sweep's order on
-    one surface. Sensors store returns in the order of firing, or ring by ring.
+    The lower quartile of second differences of range between consecutive returns on one surface, in storage order:
+    sensors store returns in the order of firing, or ring by ring.
     """
     points = monitored.leveled.sweep.points
-    return _everywhere(_core.range_noise(points, _STEP_SHARE, _STEP_M, _LEAST_RETURNS))
+    return _everywhere(_core.range_noise(points, _STEP_SHARE, _STEP_M, _MIN_RETURNS))
 
 
 def measure_ground_roughness(monitored: MonitoredSweep) -> F32:
     """Return the median distance in meters of ground returns from the ground (SECTORS,), the same in all sectors."""
     height_m = np.abs(monitored.leveled.height_m)
     ground = height_m[height_m < _GROUND_M]
-    return _everywhere(np.median(ground) if len(ground) >= _LEAST_RETURNS else np.nan)
+    return _everywhere(np.median(ground) if len(ground) >= _MIN_RETURNS else np.nan)
 
 
 def measure_isolated(monitored: MonitoredSweep) -> F32:
-    """Return the share of isolated returns (SECTORS,), the same in all sectors; abstains where rings are not known.
+    """Return the share of isolated returns (SECTORS,), the same in all sectors; abstains if rings are not known.
 
-    No neighboring beam confirms them: noise, rain and free points, not surfaces. Where no table explains the rings that
-    the points show, as many are isolated as fall beside those, which differs from sweep to sweep.
+    No neighboring beam confirms an isolated return: it is noise, rain or a spoofed point, not a surface. Also abstains
+    if rings were only inferred from the points, because their errors isolate returns and vary from sweep to sweep.
     """
     image, layout = monitored.leveled.range_image, monitored.leveled.sensor_id.layout
     if image is None or layout is not None or not len(image.isolated):
@@ -83,18 +84,17 @@ def measure_isolated(monitored: MonitoredSweep) -> F32:
 
 
 def measure_jump(monitored: MonitoredSweep) -> F32:
-    """Return by how many meters the sensor moved otherwise than before (SECTORS,), by its own sweeps; all the same.
+    """Return the jump of the sensor in meters against its recent velocity (SECTORS,), the same in all sectors.
 
-    Obstacle cells of the sweep are laid over those of the one before; the shift that fits best is compared with the
-    median of the shifts of the sweeps before, each over its time. Abstains where too few obstacles show it, or fit as
-    well elsewhere.
+    The shift that best aligns the obstacle cells of two sweeps gives a velocity; the last one is compared with the
+    median of those before. Abstains if too few obstacles match, or if they match another shift as well.
     """
-    every = (*monitored.earlier, monitored.leveled)
-    velocities = [_shift_m(a, b) / _gap_s(a, b) for a, b in pairwise(every)]
-    usual = [one for one in velocities[:-1] if np.isfinite(one).all()]
-    if len(usual) < 2:
+    sweeps = (*monitored.earlier, monitored.leveled)
+    velocities = [_shift_m(before, after) / _gap_s(before, after) for before, after in pairwise(sweeps)]
+    known = [velocity for velocity in velocities[:-1] if np.isfinite(velocity).all()]
+    if len(known) < 2:
         return ABSTAINS
-    return _everywhere(float(np.hypot(*((velocities[-1] - np.median(usual, axis=0)) * _gap_s(*every[-2:])))))
+    return _everywhere(float(np.hypot(*((velocities[-1] - np.median(known, axis=0)) * _gap_s(*sweeps[-2:])))))
 
 
 def _gap_s(before: LeveledSweep, after: LeveledSweep) -> float:
@@ -104,21 +104,18 @@ def _gap_s(before: LeveledSweep, after: LeveledSweep) -> float:
 
 
 def _shift_m(before: LeveledSweep, after: LeveledSweep) -> NDArray[np.float64]:
-    """Return the shift (2,) in meters, up to ``_SHIFTS`` cells, that lays obstacle cells best on those before.
-
-    NaN where they do not show it.
-    """
+    """Return the shift (2,) in meters, up to ``_SHIFTS`` cells, that best aligns obstacle cells; NaN if ambiguous."""
     key = ("shift", ref(before))
     shift: NDArray[np.float64] | None = after.derived.get(key)
     if shift is None:
         down, across, cells, elsewhere = _core.best_shift(_obstacles_of(after), _obstacles_of(before), _SHIFTS)
-        is_known = cells >= _LEAST_CELLS and cells - elsewhere >= _CLEARER_BY
+        is_known = cells >= _MIN_CELLS and cells - elsewhere >= _CLEARER_BY
         shift = after.derived[key] = np.array([down, across], np.float64) * (_CELL_M if is_known else np.nan)
     return shift
 
 
 def _obstacles_of(leveled: LeveledSweep) -> Mask:
-    """Return the cells (_CELLS, _CELLS) about the sensor that hold an obstacle return."""
+    """Return the mask (_CELLS, _CELLS) of cells around the sensor that contain an obstacle return."""
     cells: Mask | None = leveled.derived.get(("obstacles_about",))
     if cells is None:
         cells = leveled.derived[("obstacles_about",)] = leveled.obstacle_cells(BevGrid(_CELLS, _CELLS * _CELL_M / 2))

@@ -1,4 +1,4 @@
-"""Something to watch: a recording's estimates as one HTML page that needs no network and no server."""
+"""Viewers of a recording's estimates: one self-contained HTML page, or a file for Rerun."""
 
 from viewshed.show.view.frames import AgentTrust, Frame, PackedFrame, pack_frame
 from viewshed.show.view.html import write_page

@@ -1,12 +1,12 @@
-"""One sweep of a page: its estimate, returns and what a monitor found, in few bytes, and what a reader sees in numbers.
+"""Pack one frame of the page: estimate, points and monitor report as compact binary arrays, numbers as JSON.
 
-The bytes, before they are deflated, are arrays one after the other; ``page.js`` reads them in this order:
+Before deflate, the data are arrays one after the other, read by ``page.js`` in this order:
 
-- cells, (cells, cells) uint8, row i forward and column j left: bits 0 and 1 the state, bit 2 whether the cell is
-  visible, bit 3 whether it is suspect, bits 4 to 7 the probability as k of 16 steps: it lies in [k, k + 1] / 16;
-- deviation, (cells, cells) uint8, only where ``deviation_top`` is given: k of 31 shares of it, 255 is none;
-- points, (3, 2, points) uint8: for x, y and height the low bytes and then the high bytes of int16 centimeters. x and y
-  are differences to the point before, which deflate well as the points go through the grid row by row.
+- cells, (cells, cells) uint8, row i forward and column j left: bits 0 and 1 the state, bit 2 visible, bit 3 suspect,
+  bits 4 to 7 the probability as step k of 16: it lies in [k, k + 1] / 16;
+- deviation, (cells, cells) uint8, only if ``deviation_top`` is set: k of 31 shares of it; 255 is none;
+- points, (3, 2, points) uint8: for x, y and height the low bytes, then the high bytes, of int16 centimeters. x and y
+  are differences to the preceding point, which compress well because points are sorted by cell.
 """
 
 from __future__ import annotations
@@ -27,49 +27,49 @@ from viewshed.monitor.report import IntegrityReport
 from viewshed.preprocess.leveling import LeveledSweep
 
 MAX_POINTS = 10_000
-"""Points of a sweep that are kept; the rest could not be distinguished at the size of a screen."""
+"""Maximum number of points of a sweep; more cannot be distinguished on a screen."""
 
 POINT_CELLS = 1024
-"""Cells a side of a grid over the same extent; of the points in a cell the highest is kept: it is drawn on top."""
+"""Cells a side of a grid over the same extent; only the highest point of a cell is kept, as it is drawn on top."""
 
 PROBABILITY_STEPS = 16
 
 DEVIATION_STEPS = 31
-"""Finer ones would take half as many bytes again as all else of a frame."""
+"""Number of steps of the deviation; finer ones would increase the size of a frame by half."""
 
 NO_DEVIATION = 255
 
-_LONGEST_CM = 32_767
-"""An int16 reaches 327 m."""
+_MAX_CM = 32_767
+"""Range of int16: 327 m."""
 
 
 @dataclass(frozen=True, slots=True)
 class AgentTrust:
-    """What a center of many agents thinks of one."""
+    """A center's trust in one agent."""
 
-    agent: str  # its name
+    agent: str  # name
     trust: float  # probability that it is honest
-    accused: bool = False  # whether it lies, by the center's limits
-    disputed: bool = False  # whether it or another one lies
-    forged: bool = False  # whether somebody is known to forge what it sends
+    accused: bool = False  # the center's limits say that it lies
+    disputed: bool = False  # it or another agent lies
+    forged: bool = False  # an adversary is known to forge its messages
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Frame:
-    """A sweep as it is shown.
+    """A sweep with its estimate and results, as a viewer shows it.
 
     Raises:
         ValueError: the report's cells are on another grid than the estimate.
     """
 
-    name: str  # of the sweep, for people
-    estimate: FovEstimate  # what it could see
-    leveled: LeveledSweep | None = None  # the sweep that the estimate was made from; None draws no points
-    report: IntegrityReport | None = None  # what a monitor says of it, or None where there is none
-    detections: Detections | None = None  # objects of this sweep, in ``level``; None where nobody looked for them
-    tracks: ShownTracks | None = None  # in ``level``; None where objects are not followed
-    trust: tuple[AgentTrust, ...] = ()  # of a center in each agent; empty without one
-    lies: tuple[str, ...] = ()  # what the center says of agents that contradict each other, a sentence each
+    name: str  # of the sweep
+    estimate: FovEstimate
+    leveled: LeveledSweep | None = None  # the estimated sweep; None draws no points
+    report: IntegrityReport | None = None  # of a monitor, or None
+    detections: Detections | None = None  # objects of this sweep in ``level``; None if not detected
+    tracks: ShownTracks | None = None  # in ``level``; None if objects are not tracked
+    trust: tuple[AgentTrust, ...] = ()  # a center's trust in each agent; empty without a center
+    lies: tuple[str, ...] = ()  # the center's statements on contradicting agents, one sentence each
 
     def __post_init__(self) -> None:
         grid = None if self.report is None else self.report.grid
@@ -79,14 +79,14 @@ class Frame:
 
 @dataclass(frozen=True, slots=True)
 class PackedFrame:
-    """A frame as a page holds it."""
+    """A frame as stored in a page."""
 
-    about: Mapping[str, Any]  # names and numbers, ready for JSON
-    data: bytes  # the arrays of this module, deflated without a header
+    about: Mapping[str, Any]  # names and numbers, JSON serializable
+    data: bytes  # the arrays described above, raw deflate
 
 
 def pack_frame(frame: Frame) -> PackedFrame:
-    """Return a frame as a page holds it; probabilities are exact to 1/32, points to a centimeter."""
+    """Return a frame packed for a page; probabilities are exact to 1/32, points to a centimeter."""
     estimate, report = frame.estimate, frame.report
     top = _deviation_top(estimate)
     arrays = [_packed_cells(estimate, None if report is None or report.grid is None else report.suspect_cells)]
@@ -108,17 +108,17 @@ def pack_frame(frame: Frame) -> PackedFrame:
 
 
 def shown_points_cm(leveled: LeveledSweep, grid: BevGrid) -> NDArray[np.int16]:
-    """Return x, y and height above local ground (M, 3) of the points that a page draws, in centimeters.
+    """Return x, y and height above local ground (M, 3) in centimeters of the points that a page draws.
 
-    They are the highest of each small cell; of more than ``MAX_POINTS`` evenly spaced ones remain. Points outside the
-    grid, or farther than 327 m, are left out.
+    Keeps the highest point of each small cell, thinned evenly to ``MAX_POINTS``. Points outside the grid, or farther
+    than 327 m, are left out.
     """
     fine = BevGrid(POINT_CELLS, grid.half_extent_m, grid.offset_m)
     cells, inside = fine.index(leveled.points)
     values_cm = np.column_stack([leveled.points[:, :2], leveled.height_m]) * np.float32(100)
-    near = np.flatnonzero(inside & (np.abs(values_cm[:, :2]) <= _LONGEST_CM).all(axis=1))
+    near = np.flatnonzero(inside & (np.abs(values_cm[:, :2]) <= _MAX_CM).all(axis=1))
     cell, height_cm = cells[near, 0] * POINT_CELLS + cells[near, 1], values_cm[near, 2]
-    # The highest of each cell, in the order of the cells: quicker than sorting all points.
+    # Highest point of each cell, in cell order; faster than sorting all points.
     highest_cm = np.full(POINT_CELLS**2, -np.inf, np.float32)
     np.maximum.at(highest_cm, cell, height_cm)
     is_highest = height_cm == highest_cm[cell]
@@ -127,19 +127,19 @@ def shown_points_cm(leveled: LeveledSweep, grid: BevGrid) -> NDArray[np.int16]:
     kept = point_of_cell[point_of_cell >= 0]
     if len(kept) > MAX_POINTS:
         kept = kept[np.linspace(0, len(kept) - 1, MAX_POINTS).astype(np.intp)]
-    shown_cm: NDArray[np.int16] = values_cm[kept].clip(-_LONGEST_CM, _LONGEST_CM).round().astype(np.int16)
-    return shown_cm
+    points_cm: NDArray[np.int16] = values_cm[kept].clip(-_MAX_CM, _MAX_CM).round().astype(np.int16)
+    return points_cm
 
 
 def _packed_cells(estimate: FovEstimate, suspect: NDArray[np.bool_] | None) -> NDArray[np.uint8]:
-    """Return state, visible, suspect and probability of each cell in a byte; planes of bits deflate worse."""
+    """Return state, visible, suspect and probability of each cell in a byte; separate bit planes compress worse."""
     steps = np.minimum(estimate.visible_prob * PROBABILITY_STEPS, PROBABILITY_STEPS - 1).astype(np.uint8)
     packed: NDArray[np.uint8] = estimate.state | estimate.visible() * np.uint8(1 << 2) | steps * np.uint8(1 << 4)
     return packed if suspect is None else packed | suspect * np.uint8(1 << 3)
 
 
 def _deviation_top(estimate: FovEstimate) -> float | None:
-    """Return the largest deviation of an estimate, or None where it has none."""
+    """Return the largest deviation of an estimate, or None if it has none."""
     known = np.empty(0) if estimate.std is None else estimate.std[np.isfinite(estimate.std)]
     return max(float(known.max()), 1e-3) if known.size else None
 
@@ -151,7 +151,7 @@ def _packed_deviation(estimate: FovEstimate, top: float) -> NDArray[np.uint8]:
 
 
 def _packed_points(points_cm: NDArray[np.int16]) -> NDArray[np.uint8]:
-    """Return points (M, 3) as bytes (3, 2, M); differences of int16 wrap around, and so do their sums."""
+    """Return points (M, 3) as bytes (3, 2, M); int16 differences may wrap around, as do the decoder's sums."""
     steps = points_cm.copy()
     steps[1:, :2] = points_cm[1:, :2] - points_cm[:-1, :2]
     columns = np.ascontiguousarray(steps.T).astype("<i2").view(np.uint8).reshape(3, -1, 2)
@@ -162,7 +162,7 @@ def _about_estimate(name: str, estimate: FovEstimate) -> dict[str, Any]:
     basis, grid = estimate.basis, estimate.grid
     return {
         "name": name,
-        "t_ns": None if estimate.t_ns is None else str(estimate.t_ns),  # numbers of JSON are too coarse for it
+        "t_ns": None if estimate.t_ns is None else str(estimate.t_ns),  # exact in JavaScript only as text
         "agent": estimate.agent,
         "grid": {"cells": grid.cells, "half_extent_m": grid.half_extent_m, "offset_m": list(grid.offset_m)},
         "method": estimate.method,
@@ -174,7 +174,7 @@ def _about_estimate(name: str, estimate: FovEstimate) -> dict[str, Any]:
 
 
 def _about_report(report: IntegrityReport | None) -> dict[str, Any]:
-    """Return score, limit, alarms and, without suspect cells, sectors; nothing where there is no monitor."""
+    """Return score, limit, alarms and (without suspect cells) sectors; nothing without a monitor."""
     if report is None:
         return {}
     verdicts = [word for word in ("inconsistent", "degraded") if getattr(report, word)]
@@ -190,9 +190,9 @@ def _about_report(report: IntegrityReport | None) -> dict[str, Any]:
 
 
 def _about_objects(frame: Frame) -> dict[str, Any]:
-    """Return boxes from above, in ``level``, and the trust in agents; nothing where nobody follows them.
+    """Return detections and tracks in ``level``, and the trust in agents, if there are any.
 
-    A track is its number, x, y, length, width, yaw, velocity along x and y, place in the legend, existence and reason.
+    A track is a list: ID, x, y, length, width, yaw, velocity along x and y, index in the legend, existence, reason.
     """
     about: dict[str, Any] = {}
     if frame.detections is not None:
@@ -209,21 +209,21 @@ def _about_objects(frame: Frame) -> dict[str, Any]:
         ]
     if frame.trust:
         about["trust"] = [
-            [each.agent, round(each.trust, 3), each.accused, each.disputed, each.forged] for each in frame.trust
+            [one.agent, round(one.trust, 3), one.accused, one.disputed, one.forged] for one in frame.trust
         ]
     return about
 
 
 _FROM_ABOVE = [0, 1, 3, 4, 6]
-"""Columns of a box that a picture from above needs: x, y, length, width, yaw."""
+"""Columns of a box needed for a bird's-eye view: x, y, length, width, yaw."""
 
 
 def _finite(value: float) -> float | None:
-    """Return a number, or None for an infinite one, which JSON does not have."""
+    """Return a number, or None if it is not finite, which JSON cannot represent."""
     return float(value) if np.isfinite(value) else None
 
 
 def _deflated(content: bytes) -> bytes:
-    """Return bytes that ``DecompressionStream("deflate-raw")`` of a browser reads."""
+    """Return raw deflate data for a browser's ``DecompressionStream("deflate-raw")``."""
     deflate = zlib.compressobj(6, zlib.DEFLATED, -zlib.MAX_WBITS)  # level 9 saves 1 % and takes 15 times as long
     return deflate.compress(content) + deflate.flush()

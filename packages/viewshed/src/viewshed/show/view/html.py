@@ -1,7 +1,7 @@
-"""The page: frames, style and script in one HTML file, which loads nothing outside of it.
+"""Write the viewer page: frames, style and script in one self-contained HTML file.
 
-``page.html`` has slots ``{{name}}``; ``page.css`` and ``page.js`` fill two of them. Frames are written as they come, so
-that memory does not grow with their number, and the file is there when all of it is written, or not at all.
+``page.html`` has slots ``{{name}}``; ``page.css`` and ``page.js`` fill two of them. Frames are streamed to the file, so
+memory does not grow with their number. The file is written atomically.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ from viewshed.show.plot import COLORS, HEIGHTS_M, WORDS, color_map
 from viewshed.show.view.frames import DEVIATION_STEPS, PROBABILITY_STEPS, PackedFrame
 
 UNKNOWN_ON_DARK = (0.17, 0.18, 0.2)
-"""UNKNOWN on a dark page, where its light gray would outshine all else; the other states keep their colors."""
+"""Color of UNKNOWN on a dark page, where its light gray would dominate; the other states keep their colors."""
 
 _LEGEND_ORDER = (CellState.FREE, CellState.SURFACE, CellState.HIDDEN, CellState.UNKNOWN)
 
 _PROBABILITY_MAP, _DOUBT_MAP, _HEIGHT_MAP = "cividis", "magma", "viridis"
-"""Colors of values, as in pictures of estimates."""
+"""Color maps, the same as in pictures of estimates."""
 
 _SLOT = re.compile(r"\{\{(\w+)\}\}")
 
@@ -38,12 +38,12 @@ def write_page(path: str | Path, frames: Iterable[PackedFrame], title: str) -> i
 
     Args:
         path: of the HTML file.
-        frames: taken one by one; each is written before the next is taken.
+        frames: consumed one by one; each is written before the next is taken.
         title: of the page, any text.
 
     Raises:
         ValueError: there are no frames.
-        OSError: the file cannot be written; none is left behind, nor is one if ``frames`` raises.
+        OSError: the file cannot be written. No partial file remains, also if ``frames`` raises.
     """
     before, after = _filled_page(title)
     count = 0
@@ -60,12 +60,12 @@ def write_page(path: str | Path, frames: Iterable[PackedFrame], title: str) -> i
 
 
 def _filled_page(title: str) -> tuple[str, str]:
-    """Return what stands in the page before its frames, and after them."""
-    title = title.encode(errors="replace").decode()  # names of files may be no text
+    """Return the parts of the page before and after its frames."""
+    title = title.encode(errors="replace").decode()  # file names may not be valid UTF-8
     script = _text("page.js")
-    filled = {
+    slots = {
         "title": html.escape(title),
-        # Only this very script runs, and nothing is fetched, whatever else should ever get into the page.
+        # The content security policy allows this script only and no network, even if other code got into the page.
         "script_hash": base64.b64encode(hashlib.sha256(script.encode()).digest()).decode(),
         "style": _text("page.css"),
         "legend": "\n".join(_legend_item(state) for state in _LEGEND_ORDER),
@@ -79,7 +79,7 @@ def _filled_page(title: str) -> tuple[str, str]:
         "script": script,
     }
     before, _, after = _text("page.html").partition("{{frames}}")
-    return _SLOT.sub(lambda slot: filled[slot[1]], before), _SLOT.sub(lambda slot: filled[slot[1]], after)
+    return _SLOT.sub(lambda slot: slots[slot[1]], before), _SLOT.sub(lambda slot: slots[slot[1]], after)
 
 
 def _text(name: str) -> str:
@@ -87,7 +87,7 @@ def _text(name: str) -> str:
 
 
 def _settings() -> dict[str, Any]:
-    """Return what the script is given once: states with their colors by theme, and the colors of values."""
+    """Return the script's settings: states with their colors by theme, color maps and scales."""
     maps = {"probability": _PROBABILITY_MAP, "doubt": _DOUBT_MAP, "deviation": _DOUBT_MAP, "height": _HEIGHT_MAP}
     return {
         "states": [{"name": state.name, "light": _light(state), "dark": _dark(state)} for state in CellState],
@@ -106,14 +106,14 @@ def _legend_item(state: CellState) -> str:
 
 
 def _track_item(at: int) -> str:
-    """Return the item of a track's explanation; the page shows those that it has tracks of."""
+    """Return the legend item of an explanation of tracks; the page shows it if it has such tracks."""
     word, color = LEGEND[at]
     swatch = f'<span class="swatch" style="background: rgb{tuple(_bytes(color))}"></span>'
     return f'        <li data-layer="tracks" data-track="{at}">{swatch}<span>track: {html.escape(word)}</span></li>'
 
 
 def _gradient(name: str) -> str:
-    """Return the colors of a map from left to right, for a style."""
+    """Return a color map as a CSS gradient from left to right."""
     stops = [f"rgb{tuple(color)}" for color in color_map(name)[::51].tolist()]
     return f"linear-gradient(to right, {', '.join(stops)})"
 
@@ -131,7 +131,7 @@ def _bytes(color: tuple[float, float, float]) -> list[int]:
 
 
 def _frame_elements(frame: PackedFrame) -> bytes:
-    """Return a frame as two elements that no browser runs or draws; they are read when the frame is shown."""
+    """Return a frame as two inert script elements, which the page reads when it shows the frame."""
     about, data = json_in_html(frame.about), base64.b64encode(frame.data).decode()
     return (
         f'<script type="application/json" class="about">{about}</script>\n'
@@ -140,7 +140,7 @@ def _frame_elements(frame: PackedFrame) -> bytes:
 
 
 def json_in_html(value: Any) -> str:
-    r"""Return a value as JSON that cannot end the element it stands in, nor begin another.
+    r"""Return a value as JSON that can neither close its HTML element nor open another.
 
     >>> json_in_html({"name": "</script>&"})
     '{"name":"\\u003c/script\\u003e\\u0026"}'

@@ -1,4 +1,4 @@
-"""A recording's estimates for the viewer of Rerun: points, states, suspect sectors and numbers over time."""
+"""Write a recording's estimates for the Rerun viewer: points, states, suspect sectors and numbers over time."""
 
 from __future__ import annotations
 
@@ -19,23 +19,23 @@ from viewshed.objects.explained import Explanation
 from viewshed.show.plot import COLORS, HEIGHTS_M, WORDS, color_map
 from viewshed.show.view.frames import Frame
 
-_VISIBLE_COLOR, _SUSPECT_COLOR, _FOUND_COLOR = (30, 180, 130), (220, 40, 40), (150, 150, 150)
+_VISIBLE_COLOR, _SUSPECT_COLOR, _DETECTION_COLOR = (30, 180, 130), (220, 40, 40), (150, 150, 150)
 _SUSPICIOUS = range(Explanation.MISSING, len(Explanation))
 _HEIGHT_MAP = "viridis"
 
 
 def write_rerun(path: str | Path, frames: Iterable[Frame], title: str) -> int:
-    """Write all frames to a file of Rerun (``.rrd``) and return its size in bytes.
+    """Write all frames to a Rerun file (``.rrd``) and return its size in bytes.
 
     Args:
         path: of the file.
-        frames: taken one by one; each is written before the next is taken.
+        frames: consumed one by one; each is written before the next is taken.
         title: of the recording.
 
     Raises:
         ValueError: there are no frames.
         ImportError: rerun-sdk is not installed.
-        OSError: the file cannot be written; none is left behind, nor is one if ``frames`` raises.
+        OSError: the file cannot be written. No partial file remains, also if ``frames`` raises.
     """
     with needed_for("writing for Rerun"):
         import rerun
@@ -43,7 +43,7 @@ def write_rerun(path: str | Path, frames: Iterable[Frame], title: str) -> int:
     require_parent(target)
     with draft_folder(target) as folder:
         draft = folder / target.name
-        draft.touch(exist_ok=False)  # says in Python's words what stands in the way
+        draft.touch(exist_ok=False)  # raises Python's own error if the file cannot be created
         _write_frames(rerun, draft, frames, title)
         os.replace(draft, target)  # noqa: PTH105 - as open_atomic does
     return target.stat().st_size
@@ -84,7 +84,7 @@ def _track_colors(rerun: Any) -> Any:
 
 
 def _views(*, has_trust: bool) -> Any:
-    """Return which views are open: states and probability each by itself, as one would cover the other."""
+    """Return the layout of views; states and probability are separate, because one would cover the other."""
     from rerun import blueprint
 
     images = [blueprint.Spatial2DView(origin=f"sweep/{name}", name=name) for name in ("states", "probability")]
@@ -96,9 +96,9 @@ def _views(*, has_trust: bool) -> Any:
 
 
 def _log_frame(rerun: Any, stream: Any, frame: Frame) -> None:
-    """Log what a frame shows; what it does not show clears what the frame before did."""
+    """Log a frame; entities that it lacks clear those of the last frame."""
     estimate, report = frame.estimate, frame.report
-    # 1. Images from above: the first row is the farthest ahead, the first column the leftmost.
+    # 1. Bird's-eye images: the first row is farthest ahead, the first column leftmost.
     stream.log("sweep/states/image", rerun.SegmentationImage(estimate.state[::-1, ::-1]))
     stream.log("sweep/probability", rerun.DepthImage(estimate.visible_prob[::-1, ::-1], depth_range=(0.0, 1.0)))
     # 2. Points in the level frame, colored by their height above the ground.
@@ -108,7 +108,7 @@ def _log_frame(rerun: Any, stream: Any, frame: Frame) -> None:
         palette = color_map(_HEIGHT_MAP)
         colors = palette[(share * (len(palette) - 1)).round().astype(np.intp)]
         stream.log("level/points", rerun.Points3D(frame.leveled.points, colors=colors, radii=0.06))
-    # 3. The edge of the view, and the suspect sectors.
+    # 3. Edge of the view, and suspect sectors.
     rings = [np.asarray(ring.coords) for part in estimate.polygon().geoms for ring in (part.exterior, *part.interiors)]
     stream.log("level/visible", _strips(rerun, rings, _VISIBLE_COLOR))
     corners = np.empty((0, 2)) if report is None else sector_corners(report.suspect, estimate.grid.half_extent_m)
@@ -116,7 +116,7 @@ def _log_frame(rerun: Any, stream: Any, frame: Frame) -> None:
     stream.log("level/suspect", _strips(rerun, fans, _SUSPECT_COLOR))
     # 4. Detections, and tracks in the colors of their explanations.
     if frame.detections is not None:
-        boxes = _boxes(rerun, frame.detections.boxes, colors=[_FOUND_COLOR])
+        boxes = _boxes(rerun, frame.detections.boxes, colors=[_DETECTION_COLOR])
         stream.log("level/detections", boxes)
     if frame.tracks is not None:
         tracks = frame.tracks
@@ -128,8 +128,8 @@ def _log_frame(rerun: Any, stream: Any, frame: Frame) -> None:
         against = [reason for at, reason in zip(tracks.legend, tracks.reasons, strict=True) if at in _SUSPICIOUS]
         for reason in against:
             stream.log("alarms", rerun.TextLog(f"{frame.name}: {reason}", level="WARN"))
-    for each in frame.trust:
-        stream.log(["trust", each.agent], rerun.Scalars(each.trust))
+    for agent in frame.trust:
+        stream.log(["trust", agent.agent], rerun.Scalars(agent.trust))
     for lie in frame.lies:
         stream.log("alarms", rerun.TextLog(f"{frame.name}: {lie}", level="ERROR"))
     # 5. Numbers and sentences.
@@ -141,13 +141,13 @@ def _log_frame(rerun: Any, stream: Any, frame: Frame) -> None:
             stream.log("alarms", rerun.TextLog(f"{frame.name}: {reason}", level=level))
 
 
-def _boxes(rerun: Any, boxes: NDArray[np.float64], **given: Any) -> Any:
-    """Return boxes (K, 7) as boxes that are not filled."""
+def _boxes(rerun: Any, boxes: NDArray[np.float64], **style: Any) -> Any:
+    """Return boxes (K, 7) as wireframe boxes; ``style`` is passed to Rerun."""
     half = boxes[:, 6] / 2
     turns = np.column_stack([np.zeros((len(boxes), 2)), np.sin(half), np.cos(half)])
-    return rerun.Boxes3D(centers=boxes[:, :3], half_sizes=boxes[:, 3:6] / 2, quaternions=turns, radii=0.06, **given)
+    return rerun.Boxes3D(centers=boxes[:, :3], half_sizes=boxes[:, 3:6] / 2, quaternions=turns, radii=0.06, **style)
 
 
 def _strips(rerun: Any, rings: list[Any], color: tuple[int, int, int]) -> Any:
-    """Return rings (V, 2) on the ground."""
+    """Return rings (V, 2) as lines on the ground."""
     return rerun.LineStrips3D([np.column_stack([ring, np.full(len(ring), 0.05)]) for ring in rings], colors=[color])

@@ -1,8 +1,8 @@
-"""A page to try, served to this machine alone: drop a point file on it and see the view.
+"""Local web server: drop a point file on its page and see the view.
 
-It listens on the loopback interface. Other web pages that the same browser has open can send requests there as well,
-and an attacker's name may resolve to it: a request must name this very address as its host, and as its origin where it
-sends a file.
+It listens on the loopback interface only. Other web pages in the same browser can send requests there too, and an
+attacker's domain may resolve to it (DNS rebinding). So a request must name this address as its host, and an upload must
+name it as its origin.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from threading import Lock
 from urllib.parse import unquote
 
 MAX_FILE_BYTES = 200_000_000
-"""A larger file is refused before it is read."""
+"""Larger files are refused before they are read."""
 
 _PAGES_KEPT = 4
 
-_SILENT_S = 30.0
-"""A connection that sends nothing for so long is closed."""
+_TIMEOUT_S = 30.0
+"""Connections that send nothing for this long are closed."""
 
 _HEADERS = {
     "Cache-Control": "no-store",
@@ -38,43 +38,43 @@ _HEADERS = {
 
 
 class RefusedFileError(ValueError):
-    """A file that is no sweep; the message is for the one who dropped it."""
+    """A file that cannot be read as a sweep; the message is shown to the user."""
 
 
 @dataclass(slots=True)
 class _Pages:
-    """The newest pages by address, and what makes one of a file's name and bytes, one at a time."""
+    """The newest pages by address; new ones are made from a file's name and bytes, one at a time."""
 
     page_of: Callable[[str, bytes], tuple[bytes, str]]
-    made: dict[str, bytes] = field(default_factory=dict)
+    by_address: dict[str, bytes] = field(default_factory=dict)
     lock: Lock = field(default_factory=Lock)
 
     def add(self, name: str, content: bytes) -> dict[str, str]:
-        """Return the address of a new page and what is said beside it; the oldest page is forgotten."""
+        """Make a page, drop the oldest one, and return the new page's address and message."""
         with self.lock:
             page, said = self.page_of(name, content)
             address = f"/page/{secrets.token_hex(8)}"
-            self.made[address] = page
-            while len(self.made) > _PAGES_KEPT:
-                del self.made[next(iter(self.made))]
+            self.by_address[address] = page
+            while len(self.by_address) > _PAGES_KEPT:
+                del self.by_address[next(iter(self.by_address))]
         return {"page": address, "said": said}
 
 
 @contextmanager
 def serving(port: int, page_of: Callable[[str, bytes], tuple[bytes, str]]) -> Iterator[ThreadingHTTPServer]:
-    """Yield a server of the page to try, at a port of this machine alone; it answers in ``serve_forever``.
+    """Yield a server on the loopback interface; it answers in ``serve_forever``.
 
     Args:
-        port: of the server; 0 for any that is free.
-        page_of: turns the name and bytes of a dropped file into a page, and what to say beside it.
+        port: of the server; 0 for any free port.
+        page_of: converts the name and bytes of a dropped file into a page and a message.
 
     Raises:
         OSError: the port is taken.
     """
-    pages = _Pages(page_of)
+    new_pages = _Pages(page_of)
 
     class Handler(_Handler):
-        kept = pages
+        pages = new_pages
 
     server = ThreadingHTTPServer(("127.0.0.1", port), Handler)
     server.daemon_threads = True
@@ -85,28 +85,28 @@ def serving(port: int, page_of: Callable[[str, bytes], tuple[bytes, str]]) -> It
 
 
 class _Handler(BaseHTTPRequestHandler):
-    kept: _Pages
-    timeout = _SILENT_S
+    pages: _Pages
+    timeout = _TIMEOUT_S
     server_version = "viewshed"
     sys_version = ""
 
     def handle(self) -> None:
-        """Answer; a browser that goes meanwhile is no fault."""
+        """Answer; ignore a browser that disconnects."""
         with suppress(ConnectionError):
             super().handle()
 
     def do_GET(self) -> None:
-        """Answer with the page to try, or one that was made."""
+        """Send the drop page, or a page made from a file."""
         if not self._is_ours():
             return
-        page = _drop_page() if self.path == "/" else self.kept.made.get(self.path)
+        page = _drop_page() if self.path == "/" else self.pages.by_address.get(self.path)
         if page is None:
             self._say(HTTPStatus.NOT_FOUND, "no such page")
         else:
             self._send(HTTPStatus.OK, "text/html; charset=utf-8", page)
 
     def do_POST(self) -> None:
-        """Make a page of the file that is sent, and answer with its address."""
+        """Make a page of the uploaded file, and send its address."""
         if not self._is_ours():
             return
         if self.headers.get("Origin") != f"http://{self.headers['Host']}":
@@ -124,14 +124,14 @@ class _Handler(BaseHTTPRequestHandler):
             "."
         )
         try:
-            answer = self.kept.add(name or "file", content)
+            answer = self.pages.add(name or "file", content)
         except RefusedFileError as error:
             self._say(HTTPStatus.UNPROCESSABLE_ENTITY, str(error))
             return
         self._send(HTTPStatus.OK, "application/json", json.dumps(answer).encode())
 
     def _is_ours(self) -> bool:
-        """Whether the request names this server as its host; anything else is answered with a refusal."""
+        """Return whether the request names this server as its host; refuse it otherwise."""
         port = self.server.server_address[1]  # type: ignore[index]
         if self.headers.get("Host") in {f"127.0.0.1:{port}", f"localhost:{port}"}:
             return True
@@ -150,7 +150,7 @@ class _Handler(BaseHTTPRequestHandler):
         self.wfile.write(content)
 
     def log_message(self, format: str, *args: object) -> None:  # noqa: A002
-        """Print nothing: a terminal has the line of each sweep."""
+        """Print nothing; the command prints a line for each sweep."""
 
 
 def _drop_page() -> bytes:
