@@ -21,7 +21,7 @@ from viewshed_lab.studies.records import BENIGN, Case
 from viewshed_lab.studies.suite import TESTED
 from viewshed_lab.threats.attacks import ATTACKS
 from viewshed_lab.threats.attacks.adaptive import ADAPTIVE
-from viewshed_lab.threats.attacks.points import MOST_FREE
+from viewshed_lab.threats.attacks.points import MAX_FREE_POINTS
 from viewshed_lab.threats.corruptions import CORRUPTIONS
 from viewshed_lab.threats.defenses import DEFENSES
 
@@ -85,8 +85,8 @@ class RobustnessPlan(Plan):
             not 0 <= few <= count for few, count in zip(counts, self.samples, strict=True)
         ):
             raise ValueError(f"adaptive_samples must be 0 to {list(self.samples)}, one a domain, got {list(counts)}")
-        if not 1 <= self.adaptive_budget <= MOST_FREE:
-            raise ValueError(f"adaptive_budget must lie in [1, {MOST_FREE}], got {self.adaptive_budget}")
+        if not 1 <= self.adaptive_budget <= MAX_FREE_POINTS:
+            raise ValueError(f"adaptive_budget must lie in [1, {MAX_FREE_POINTS}], got {self.adaptive_budget}")
         if self.adaptive_queries < 3:
             raise ValueError(f"adaptive_queries must be at least 3, got {self.adaptive_queries}")
 
