@@ -192,7 +192,7 @@ class AgentsResults:
         return Table(header, rows)
 
     def picture(self, folder: Path, case: str) -> Picture:
-        """Return the picture of the first test scene in a case: before the onset, at the first accusation, at the end."""
+        """Return the picture of the first test scene: before the onset, at the first accusation, at the end."""
         honest = HonestModel.from_json((folder / HONEST_MODEL).read_text("utf-8"))
         scene = Scene.load(scene_path(folder, "test", 0))
         liars, said = SceneCases(scene, (self.plan.seed, "test", 0), honest, compared=False).said(case)
