@@ -27,7 +27,7 @@ LIMIT_S = 600
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """One fault: in ``file`` of the core ``find``, which occurs once whatever its white space, becomes ``replace``."""
+    """One fault: in ``file`` of the core, ``find`` (unique, white space ignored) is replaced by ``replace``."""
 
     what: str
     file: str
@@ -52,10 +52,10 @@ def plant(fault: Fault, core: Path) -> tuple[Path, str]:
     source = path.read_text(encoding="utf-8")
     tokens = re.findall(r"\w+|[^\w\s]", fault.find)
     pattern = r"\s*".join(rf"\b{token}\b" if token[0].isalnum() else re.escape(token) for token in tokens)
-    found = list(re.finditer(pattern, source))
-    if len(found) != 1:
-        raise ValueError(f"`find` must occur once in {fault.file}, found {len(found)} times: {fault.find!r}; mend it")
-    start, end = found[0].span()
+    matches = list(re.finditer(pattern, source))
+    if len(matches) != 1:
+        raise ValueError(f"`find` must occur once in {fault.file}, found {len(matches)} times: {fault.find!r}; mend it")
+    start, end = matches[0].span()
     return path, source[:start] + fault.replace + source[end:]
 
 
