@@ -36,10 +36,8 @@ def layout(agent: str = "ego") -> dict[str, Any]:
     )  # fmt: skip
     log = fox.LogPanel(title="Alarms", config=fox.LogConfig(topic_to_render="/log", min_log_level=1))
     parts = [fox.SplitItem(proportion=4, content=view), fox.SplitItem(proportion=1, content=log)]
-    table: dict[str, Any] = json.loads(
-        fox.Layout(content=fox.SplitContainer(direction="column", items=parts)).to_json()
-    )
-    return table
+    tree: dict[str, Any] = json.loads(fox.Layout(content=fox.SplitContainer(direction="column", items=parts)).to_json())
+    return tree
 
 
 if __name__ == "__main__":

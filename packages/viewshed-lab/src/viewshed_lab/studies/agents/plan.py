@@ -83,10 +83,7 @@ class AgentsPlan(Plan):
         return [("run", *key[1:]) for key in self.scene_keys() if key[1] != SPLITS[0]]
 
     def cases_of(self, split: str, number: int) -> list[str]:
-        """Return the cases of a scene.
-
-        Calibration: honest agents, or stated pose noise. Test: honest agents, both kinds of pose noise, ``each`` lies.
-        """
+        """Return the cases of a scene: calibration honest or stated noise; test honest, both noises, ``each`` lies."""
         if split != "test":
             return [(HONEST, STATED)[number // len(self.worlds) % 2]]
         count = min(self.each, len(self.lies))

@@ -166,10 +166,7 @@ def seen_objects(scene: Scene, time: int) -> F64:
 
 
 def honest_examples(scene: Scene, rng: np.random.Generator) -> tuple[list[HonestExamples], list[Comparisons]]:
-    """Return examples of honest reports at some times, and comparisons of the views at all times.
-
-    The examples include objects displaced to empty places, moved objects, and objects that are no longer reported.
-    """
+    """Return examples of honest reports (also with displaced, moved and left-out objects), and comparisons of views."""
     center = CommandCenter(scene.agents, honest=HonestModel.blank())
     out, compared = [], []
     numbers, left_out = np.arange(len(scene.agents)), _LeftOut(rng)

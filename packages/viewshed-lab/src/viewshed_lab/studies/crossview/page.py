@@ -57,15 +57,12 @@ class SensorScenes:
         """Sentence on the smallest differences that the columns would show; None if that was not measured."""
         if self.difference is None:
             return None
-        smallest = self.difference
+        least = self.difference
         over, under = (
             f"no {kind} at all" if isnan(share) else f"{kind} of {share:g} or more of the {ground} ground"
-            for kind, share, ground in (
-                ("over-claim", smallest.over, "hidden"),
-                ("under-claim", smallest.under, "visible"),
-            )
+            for kind, share, ground in (("over-claim", least.over, "hidden"), ("under-claim", least.under, "visible"))
         )
-        columns = f"({smallest.hidden_columns} columns of {smallest.hidden_sweeps} sweeps)"
+        columns = f"({least.hidden_columns} columns of {least.hidden_sweeps} sweeps)"
         return f"Smallest differences that these columns would show: {over} {columns}; {under}."
 
 

@@ -163,10 +163,7 @@ def ship(folder: Path, file: Path) -> None:
 
 
 def retested_shares(folder: Path) -> list[Line]:
-    """Return false share and recall of development scenes, by cross-validation.
-
-    Folds of ten scenes are evaluated by a calibration that was retested on the others.
-    """
+    """Return false share and recall of development scenes, in folds of ten by a calibration retested on the others."""
     lines = lines_of(folder, "development")
     if not lines:
         return []

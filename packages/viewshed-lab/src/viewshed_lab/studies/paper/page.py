@@ -179,10 +179,7 @@ def mcd_picture(results: PaperResults, protocol: str) -> Picture | None:
 
 
 def _shown_sweep(results: PaperResults, protocol: str, domain: str) -> tuple[Evaluation, Tampered]:
-    """Return the evaluation and the attacked sweep of the maps.
-
-    In the paper's protocol the first held-out sweep with uniform points, in the strict one the first under ``SHOWN``.
-    """
+    """Return evaluation and attacked sweep of the maps: the first with uniform points, or (strict) under ``SHOWN``."""
     plan, folder, setting = results.plan, results.store.folder, setting_of(results.plan, protocol, domain)
     number = 0 if protocol == PAPER else TOUCHING.index(SHOWN)
     attack = UNIFORM if protocol == PAPER else setting.attack(number)

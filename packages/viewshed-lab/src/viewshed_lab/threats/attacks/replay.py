@@ -89,9 +89,8 @@ class Replay(Checked):
         """
         if self.mode == "free_form":
             columns = {name: getattr(self.earlier, name) for name in COLUMNS}
-            return Tampered(
-                sweep.replace(**columns), np.ones(len(self.earlier), np.bool_), np.ones(len(sweep), np.bool_)
-            )
+            added, removed = np.ones(len(self.earlier), np.bool_), np.ones(len(sweep), np.bool_)
+            return Tampered(sweep.replace(**columns), added, removed)
         wedge = Wedge.of_sector(self.azimuth, self.sector_deg)
         rays = rays_in(sweep, wedge, empty=True)
         earlier_m = depths_in(self.earlier, lattice_of(sweep), rays)
