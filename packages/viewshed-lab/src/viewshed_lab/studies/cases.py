@@ -110,9 +110,7 @@ def behind(cases: Sequence[Case], defenses: Sequence[str]) -> Iterator[Case]:
 
 
 def apply(case: Case, sample: StudySample, rng: np.random.Generator) -> Tampered:
-    """Return the sweep after a case's attack or corruption, without its defense.
-
-    A corruption is not recorded as tampering.
+    """Return the sweep after a case's attack or corruption (which is not recorded), without its defense.
 
     Raises:
         ValueError: the attack or corruption is impossible on this sweep; the message says why.

@@ -96,8 +96,7 @@ def trade_figure(dots: Mapping[tuple[int, int, int], Mapping[str, float]], acros
     """Return a PNG with one panel per figure of ``ups`` over ``across``; colors are resolutions, markers are depths.
 
     Args:
-        dots: figures of each network by name; keys are cells per side, number of poolings and channels of the first
-            stage.
+        dots: figures of each network by name, by its cells per side, poolings and channels of the first stage.
         across: name of the figure on the horizontal axis, which is logarithmic.
         ups: names of the figures on the vertical axes.
     """

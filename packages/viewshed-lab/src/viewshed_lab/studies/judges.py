@@ -264,8 +264,7 @@ def _box_tables(
 def judged_returns(box: ObjectBox, sweep: Sweep) -> int:
     """Return the number of returns in a box: the annotated one, or without it the counted one.
 
-    If the annotation is 0 but returns lie at the edge of the box, it is 1: too few to be visible, too many to be
-    hidden.
+    If the annotation is 0 but returns lie at the edge of the box, it is 1: too few for visible, too many for hidden.
     """
     counted = returns_in(box, sweep)
     return counted if box.returns is None else box.returns or min(counted, 1)

@@ -48,8 +48,7 @@ HEADINGS = (
     "world from above", "sweep: height above ground", "truth: car", "truth: pedestrian", "who says visible, for a car",
 )  # fmt: skip
 
-_SCENES = 500
-"""Scenes that are searched for each kind of world."""
+_SCENES = 500  # scenes that are searched for each kind of world
 
 _INCHES = 2.6
 """Side of one view."""

@@ -11,8 +11,7 @@ from viewshed.arrays import F64
 Measure = Callable[[F64], F64]
 """Maps counts (…, 4) of cells (both, over, under, neither) to a figure (…)."""
 
-DRAWS = 1000
-"""Number of bootstrap samples."""
+DRAWS = 1000  # bootstrap samples
 
 NO_INTERVAL = (float("nan"), float("nan"))
 

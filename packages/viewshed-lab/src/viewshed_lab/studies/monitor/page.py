@@ -270,14 +270,13 @@ def _traces(called: Sequence[Called]) -> Table | str:
     if not by_trace:
         return "The traces were not given."
     rows = []
-    for name, sweeps in [*by_trace.items(), *([("all", list(called))] if len(by_trace) > 1 else [])]:
-        spoofed, honest = [one for one in sweeps if one.is_spoofed], [one for one in sweeps if not one.is_spoofed]
+    for name, part in [*by_trace.items(), *([("all", list(called))] if len(by_trace) > 1 else [])]:
+        spoofed, honest = [one for one in part if one.is_spoofed], [one for one in part if not one.is_spoofed]
         alarms = sum(one.inconsistent for one in honest)
         rows.append([
             name,
-            "no key" if all(one.is_spoofed is None for one in sweeps)
-            else _share([one.inconsistent for one in spoofed]),
-            "" if name == "all" else ", ".join(_delays(sweeps)),
+            "no key" if all(one.is_spoofed is None for one in part) else _share([one.inconsistent for one in spoofed]),
+            "" if name == "all" else ", ".join(_delays(part)),
             _share([one.inconsistent for one in honest]),
             f"{rate_interval(alarms, max(len(honest), 1) / 36000.0)[1]:.0f}",
             _share([one.degraded for one in honest]),

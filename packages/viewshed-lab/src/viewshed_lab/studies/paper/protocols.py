@@ -56,8 +56,7 @@ class ProtocolSetting:
     def attack(self, number: int) -> Case:
         """Return the attack on held-out sweep ``number``.
 
-        In the paper's protocol its mixture; in the strict one all attacks that change returns in turn, with default
-        budgets.
+        In the paper's protocol its mixture; in the strict one all that change returns in turn, with default budgets.
         """
         return MIXTURE if self.protocol == PAPER else Case("attack", TOUCHING[number % len(TOUCHING)], DEFAULT)
 

@@ -30,8 +30,7 @@ from viewshed_lab.data.simulated import ScenePlan, scan_frame, world_of
 from viewshed_lab.studies.tracks.lidar_level import SweepForger
 
 FOVS = ("none", "published", "polygon", "default")
-"""No field of view; the published tracker with its polygon; our tracker with that polygon; our tracker with the default
-method."""
+"""No field of view; the published tracker with its polygon; our tracker with that polygon, or the default method."""
 
 POLYGON = "paper_concave_hull"
 """Name of the estimator of the published polygon."""

@@ -46,8 +46,7 @@ AS_GIVEN = "shadow_map"
 
 LADDER = ("+ exact rings and beams' table", "+ exact height and attitude", "+ exact ground", "exact ends of all beams",
           "all of it: the counting kernel alone")  # fmt: skip
-"""Exact knowledge of the shadow map: the first three are cumulative; the fourth has the estimated ground; the last has
-all."""
+"""Exact knowledge of the shadow map: the first three are cumulative; the fourth has estimated ground; the last all."""
 
 
 def rows_of(seen: WildObservation, plan: WildPlan) -> Iterator[Row]:

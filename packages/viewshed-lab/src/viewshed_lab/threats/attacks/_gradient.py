@@ -22,8 +22,7 @@ from viewshed_lab.threats.attacks.wedge_attack import Placement
 ValueAndGradient = Callable[[NDArray[np.float64]], tuple[float, NDArray[Any]]]
 """Maps points (N, 3) in the sensor's frame to the attacker's objective and its gradient (N, 3)."""
 
-_MARGIN_M = 0.5
-"""Distance of planned ranges from the sensor's limits."""
+_MARGIN_M = 0.5  # distance of planned ranges from the sensor's limits
 
 _REFINES = 0.25
 """The second half of the steps starts with this share of the initial step."""

@@ -40,8 +40,7 @@ from viewshed_lab.threats.attacks.wedge_attack import Placement
 RANDOM_SHARE = 0.3
 """Share of an evolution's queries that is used for random draws."""
 
-OFFSPRING = 6
-"""λ of the evolution strategy."""
+OFFSPRING = 6  # λ of the evolution strategy
 
 _GROWS, _SHRINKS = 1.6, 0.88
 """Factors of the step size after a success and after a failure."""
@@ -220,10 +219,7 @@ class BeamSearchSpace:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PointSearchSpace:
-    """Plans of free points in a wedge: azimuths, ranges and heights from common parameters and residuals per point.
-
-    A candidate is a vector: five common parameters, then residuals of azimuth, range and height (3 × budget).
-    """
+    """Plans of free points in a wedge: five common parameters, then residuals of azimuth, range, height of each."""
 
     sweep: Sweep  # attacked sweep
     wedge: Wedge  # attacked wedge

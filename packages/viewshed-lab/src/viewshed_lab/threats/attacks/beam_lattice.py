@@ -213,8 +213,7 @@ def _residuals(
 def _residual_slopes(direction: Any, sideways: Any, s: Any, slope: Any) -> None:
     """Fill ``slope`` (4, 3): the negative derivative of one return's residual by velocity and turn rate.
 
-    It is the component of the motion perpendicular to the beam, times the time ``s``; ``sideways`` (3,) is the
-    displacement of the return per radian of turn.
+    It is the motion perpendicular to the beam times the time ``s``; ``sideways`` (3,) is that per radian of turn.
     """
     turning = sideways[0] * direction[0] + sideways[1] * direction[1] + sideways[2] * direction[2]
     for k in range(3):

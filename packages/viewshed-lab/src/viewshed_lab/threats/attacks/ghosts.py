@@ -81,8 +81,7 @@ class FarWall(WedgeAttack):
 class RemovalAndFarWall(WedgeAttack):
     """Every obstacle in the wedge is removed, then its beams and the empty ones report an empty street to a far wall.
 
-    The strongest over-claim. The spoofer must win a beam twice: if removal succeeds and injection fails, the beam does
-    not return.
+    The strongest over-claim. A beam must be won twice: one that is removed but not injected does not return.
     """
 
     # range of the wall; at most 2 m less than the sensor's maximum. Obstacles nearer than this are aimed at.

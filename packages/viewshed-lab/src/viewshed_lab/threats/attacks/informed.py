@@ -194,8 +194,7 @@ class _OfObjects(Checked):
 
     budget: Budget = None  # maximum number of beams of an object; None for any
     sector_deg: Sector = 30.0  # maximum width of an object
-    # in the sensor's frame: the object nearest to it vanishes, or the copy appears there; None draws one
-    azimuth: Azimuth = None
+    azimuth: Azimuth = None  # of the vanishing object (nearest to it) or of the copy, sensor's frame; None draws one
     near_m: Range = 25.0  # objects nearer than this vanish or are copied
     spoofer: Spoofer = EXACT_SPOOFER  # success rate and range noise
 
@@ -349,8 +348,7 @@ class CopiedObject(_OfObjects):
     """A real object of the sweep appears a second time, at another azimuth, in front of everything there.
 
     Its surface, edges, noise and losses are those of a real one. It stands on ground of the same height, where the view
-    is open. Without such an object and place, the sweep is unchanged. At a given azimuth, the largest object that fits
-    is copied.
+    is open; without such a place the sweep is unchanged. At a given azimuth, the largest object that fits is copied.
     """
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Tampered:

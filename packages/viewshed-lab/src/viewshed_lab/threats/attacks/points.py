@@ -172,8 +172,7 @@ def _at_obstacle_heights(sweep: Sweep, xy: F64, rng: np.random.Generator) -> F64
 class Frustum(Checked):
     """Points behind or in front of a real object, on beams that hit it: consistent with what a camera sees.
 
-    The object is the nearest obstacle at the azimuth of a random obstacle return. Without any obstacle in range, the
-    sweep is unchanged.
+    The object is the nearest obstacle at the azimuth of a random obstacle return; without any, nothing is changed.
     """
 
     budget: Budget = 200  # maximum number of points; None for all beams of the object
