@@ -1,4 +1,4 @@
-"""A headless Chromium for tests and pictures of pages, driven over two pipes: no package and no port is needed."""
+"""A headless Chromium for tests and pictures of pages, controlled over two pipes: needs no package and no port."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def chromium() -> str | None:
 
 @contextmanager
 def open_browser() -> Iterator[Browser]:
-    """Start Chromium with an empty profile; yield it with one empty tab. A FileNotFoundError where there is none."""
+    """Start Chromium with an empty profile and yield it with one empty tab; FileNotFoundError without Chromium."""
     program = chromium()
     if program is None:
         raise FileNotFoundError(f"none of {', '.join(NAMES)} is installed")
@@ -51,7 +51,7 @@ def open_browser() -> Iterator[Browser]:
         process = subprocess.Popen(
             [sys.executable, "-c", _LAUNCH, str(to_browser), str(from_browser), *command],
             pass_fds=(to_browser, from_browser), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-            env={**os.environ, "TMPDIR": profile},  # a browser that is ended leaves its files behind
+            env={**os.environ, "TMPDIR": profile},  # a terminated browser leaves temporary files
         )  # fmt: skip
         os.close(to_browser)
         os.close(from_browser)

@@ -48,11 +48,11 @@ def frames_of(browser: Browser) -> list[Shown]:
             "JSON.stringify(abouts.map((about, k) => [about.agent, about.name, seconds[k], about.visible_m2]))"
         )
     )
-    return [Shown(number, *each) for number, each in enumerate(rows)]
+    return [Shown(number, *row) for number, row in enumerate(rows)]
 
 
-def steps(frames: list[Shown], longest_s: float) -> list[dict[str, Shown]]:
-    """Return for each time the latest frame of each agent, from the first time at which all have one.
+def steps(frames: list[Shown], max_s: float) -> list[dict[str, Shown]]:
+    """Return the latest frame of each agent at each time, from the first time at which all have one up to ``max_s``.
 
     >>> a, b, c = Shown(0, "x", "", 0.0, 1.0), Shown(1, "y", "", 0.1, 1.0), Shown(2, "x", "", 1.0, 1.0)
     >>> [[shown.number for shown in step.values()] for step in steps([a, b, c], 30.0)]
@@ -60,13 +60,13 @@ def steps(frames: list[Shown], longest_s: float) -> list[dict[str, Shown]]:
     """
     agents = {frame.agent for frame in frames}
     latest: dict[str, Shown] = {}
-    found = []
+    states = []
     for frame in frames:
         latest[frame.agent] = frame
-        if len(latest) == len(agents) and frame.time_s <= longest_s:
-            found.append(dict(sorted(latest.items())))
-    # Agents measure within a revolution of each other: one step for each turn of the first of them.
-    return [step for k, step in enumerate(found) if k == 0 or _first(step).number != _first(found[k - 1]).number]
+        if len(latest) == len(agents) and frame.time_s <= max_s:
+            states.append(dict(sorted(latest.items())))
+    # Agents measure within a revolution of each other: keep one step per frame of the first agent.
+    return [step for k, step in enumerate(states) if k == 0 or _first(step).number != _first(states[k - 1]).number]
 
 
 def _first(step: dict[str, Shown]) -> Shown:
@@ -74,22 +74,22 @@ def _first(step: dict[str, Shown]) -> Shown:
 
 
 def picture(browser: Browser, frame: Shown, side: int, layer: str, heading: tuple[str, str]) -> Image.Image:
-    """Return what the page draws of a frame in a layer of its cells, with a heading of two lines above it."""
+    """Return the page's picture of a frame in a layer, below a heading of two lines."""
     browser.value(f"document.querySelector('#bases input[value={layer}]').click()")
     browser.value(f"show({frame.number})")
     browser.wait_for(f"current === {frame.number} && element('sweep').textContent.startsWith('{frame.number + 1} of')")
     address = str(browser.value("map.toDataURL('image/png')"))
-    drawn = Image.open(io.BytesIO(base64.b64decode(address.partition(",")[2])))
-    # The grid is the square in the middle of the canvas, which has no background of its own.
-    edge = min(drawn.size)
-    left, top = (drawn.width - edge) // 2, (drawn.height - edge) // 2
-    square = drawn.crop((left, top, left + edge, top + edge)).resize((side, side), Image.Resampling.LANCZOS)
+    canvas = Image.open(io.BytesIO(base64.b64decode(address.partition(",")[2])))
+    # The grid is the square in the middle of the canvas, which has no background.
+    edge = min(canvas.size)
+    left, top = (canvas.width - edge) // 2, (canvas.height - edge) // 2
+    square = canvas.crop((left, top, left + edge, top + edge)).resize((side, side), Image.Resampling.LANCZOS)
     page = Canvas.blank(side, side + _HEAD)
     page.text((6, 18), heading[0], 10, bold=True)
     page.text((6, 38), heading[1], 9)
-    whole = Image.fromarray(page.pixels())
-    whole.paste(square, (0, _HEAD), square if square.mode == "RGBA" else None)
-    return whole
+    image = Image.fromarray(page.pixels())
+    image.paste(square, (0, _HEAD), square if square.mode == "RGBA" else None)
+    return image
 
 
 _LAYERS = {
@@ -100,7 +100,7 @@ _LAYERS = {
 
 
 def _heading(frame: Shown, layer: str, is_timed: bool) -> tuple[str, str]:
-    """Return what stands above a picture: agent and time of a drive, or sweep and layer."""
+    """Return the heading of a picture: agent and time of a drive, or sweep and layer."""
     if is_timed:
         return frame.agent.partition("/")[0], f"{frame.time_s:.1f} s · sees {frame.visible_m2:,.0f} m²"
     return f"{frame.name} · sees {frame.visible_m2:,.0f} m²", _LAYERS.get(layer, layer)
@@ -117,33 +117,34 @@ def main() -> int:
     parser.add_argument(
         "--pace", type=float, help="seconds that each frame is shown, in place of the sweeps' own times"
     )
-    given = parser.parse_args()
+    arguments = parser.parse_args()
     pictures = []
     with open_browser() as browser:
         browser.window(1200, 900)
-        browser.open(given.page.resolve().as_uri())
+        browser.open(arguments.page.resolve().as_uri())
         browser.wait_for("typeof abouts !== 'undefined' && element('sweep').textContent !== ''")
-        chosen = steps(frames_of(browser), given.seconds)
-        for step in chosen:
+        shown = steps(frames_of(browser), arguments.seconds)
+        for step in shown:
             tiles = [
-                picture(browser, frame, given.side, layer, _heading(frame, layer, given.pace is None))
+                picture(browser, frame, arguments.side, layer, _heading(frame, layer, arguments.pace is None))
                 for frame in step.values()
-                for layer in given.layers.split(",")
+                for layer in arguments.layers.split(",")
             ]
-            whole = Image.new("RGB", ((given.side + 8) * len(tiles) - 8, given.side + _HEAD), "white")
+            strip = Image.new("RGB", ((arguments.side + 8) * len(tiles) - 8, arguments.side + _HEAD), "white")
             for number, tile in enumerate(tiles):
-                whole.paste(tile, (number * (given.side + 8), 0))
-            pictures.append(whole)
-    times_ms = [round(1000 * _first(step).time_s) for step in chosen]
-    lasts_ms = [after - before for before, after in pairwise(times_ms)] or [1000]
-    lasts_ms.append(lasts_ms[-1])
-    if given.pace is not None:
-        lasts_ms = [round(1000 * given.pace)] * len(chosen)
+                strip.paste(tile, (number * (arguments.side + 8), 0))
+            pictures.append(strip)
+    times_ms = [round(1000 * _first(step).time_s) for step in shown]
+    durations_ms = [after - before for before, after in pairwise(times_ms)] or [1000]
+    durations_ms.append(durations_ms[-1])
+    if arguments.pace is not None:
+        durations_ms = [round(1000 * arguments.pace)] * len(shown)
     first, *more = pictures
-    given.out.parent.mkdir(parents=True, exist_ok=True)
-    first.save(given.out, save_all=True, append_images=more, duration=lasts_ms[: len(pictures)], quality=60, loop=0)
-    size = given.out.stat().st_size / 1e6
-    print(f"{given.out}: {len(pictures)} pictures, {sum(lasts_ms[: len(pictures)]) / 1000:.1f} s, {size:.2f} MB")
+    arguments.out.parent.mkdir(parents=True, exist_ok=True)
+    durations_ms = durations_ms[: len(pictures)]
+    first.save(arguments.out, save_all=True, append_images=more, duration=durations_ms, quality=60, loop=0)
+    size = arguments.out.stat().st_size / 1e6
+    print(f"{arguments.out}: {len(pictures)} pictures, {sum(durations_ms) / 1000:.1f} s, {size:.2f} MB")
     return 0
 
 

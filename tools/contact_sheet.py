@@ -58,17 +58,18 @@ def _estimated(entry: IndexEntry, grid: str, name: str) -> tuple[list[str], Pane
         return [name, entry.sensor, "–", *[""] * 6, " ".join(str(error).split()).split(": ")[-1][:90]], None
     estimator = ESTIMATORS["shadow_map"](GRIDS[grid])
     start = time.perf_counter()
-    found = estimator.estimate(sweep)
+    estimate = estimator.estimate(sweep)
     elapsed_ms = 1e3 * (time.perf_counter() - start)
     leveled = level(sweep, GRIDS[grid])
     tilt = _tilt_deg(leveled.level_from_sensor.rotation[2, 2])
     height = f"{leveled.sensor_height_m:.2f}" + ("" if leveled.ground.support else " (ground not seen)")
-    shares = [f"{found.share(state):.0%}" for state in (CellState.HIDDEN, CellState.UNKNOWN)]
+    shares = [f"{estimate.share(state):.0%}" for state in (CellState.HIDDEN, CellState.UNKNOWN)]
     row = [
-        name, entry.sensor, grid, str(len(sweep)), f"{found.area_m2():.0f}", *shares, height, tilt, f"{elapsed_ms:.1f}",
+        name, entry.sensor, grid, str(len(sweep)), f"{estimate.area_m2():.0f}", *shares, height, tilt,
+        f"{elapsed_ms:.1f}",
     ]  # fmt: skip
     short = entry.file.name.replace("__LIDAR_TOP__", " ")
-    return row, Panel(found, f"{short[-22:]}\n{found.area_m2():.0f} m²")
+    return row, Panel(estimate, f"{short[-22:]}\n{estimate.area_m2():.0f} m²")
 
 
 def _tilt_deg(cosine: float) -> str:

@@ -1,6 +1,6 @@
-"""An extension of griffe: what the pages of the site show of docstrings, and of comments beside the fields of a class.
+"""A griffe extension that prepares docstrings and the comments of class fields for the site.
 
-Roles (``:class:`~a.b.C```) and doctests become code, the comments of fields a section of the class's docstring.
+Roles (``:class:`~a.b.C```) and doctests become code; comments of fields become a section of the class's docstring.
 """
 
 import re
@@ -18,10 +18,10 @@ FIELD = re.compile(r"^\s+\w+: [^#]*  # (?!type:|noqa|fmt:)(.+)$")
 
 
 class Roles(griffe.Extension):  # type: ignore[misc]  # griffe is not looked at
-    """Turns roles into code, shortened to the last name where they begin with ``~``, and doctests into blocks."""
+    """Turns roles into code (shortened to the last name if they begin with ``~``), and doctests into code blocks."""
 
     def on_object(self, *, obj: Any, **_: Any) -> None:
-        """Rewrite the docstring of an object, before it is parsed."""
+        """Rewrite the docstring of an object before it is parsed."""
         if not obj.is_alias and obj.docstring:
             text = ROLE.sub(_code, obj.docstring.value)
             obj.docstring.value = DOCTEST.sub(lambda block: f"```pycon\n{block[0]}\n```", text)
@@ -30,9 +30,9 @@ class Roles(griffe.Extension):  # type: ignore[misc]  # griffe is not looked at
 
 
 def _fields(of_class: Any) -> Iterator[str]:
-    """Yield "name: what it is" of each field with a comment, which stands behind it or in the lines above."""
+    """Yield "name: comment" for each field with a comment, behind it or in the lines above."""
     if of_class.filepath.suffix != ".py":
-        return  # of the compiled core, which has no lines
+        return  # the compiled core has no source lines
     lines = of_class.lines_collection[of_class.filepath]
     for name, member in of_class.members.items():
         if not member.is_alias and member.is_attribute and not name.startswith("_") and member.lineno:

@@ -18,31 +18,31 @@ from viewshed_lab.data.object_truth import indoor_sweeps, measure_table, road_sw
 from viewshed_lab.training.shape_classifier import fit_shape_classifier
 
 INDOOR_SEED, TABLE_SEED = 30_000, 50_000
-"""Indoor drives have seeds from the first on plus this one, those of the table plus that one."""
+"""Offsets of the seeds of indoor drives, and of the drives for the table."""
 
 
 def main(words: Sequence[str] | None = None) -> None:
-    """Fit and measure, and write both files."""
+    """Fit the classifier, measure the table, and write both files."""
     parser = argparse.ArgumentParser(prog="fit_detector.py", description=__doc__)
     parser.add_argument("--seed", type=int, default=10_000, help="of the first drive; from 0 to 10000")
     parser.add_argument("--drives", type=int, default=400, help="on roads; a sixth as many indoors")
     parser.add_argument("--classifier", type=Path, default=shape_classifier.SHIPPED)
     parser.add_argument("--table", type=Path, default=detection_table.SHIPPED)
     parser.add_argument("--keep", action="store_true", help="keep the classifier and measure the table alone")
-    chosen = parser.parse_args(words)
-    indoors = max(chosen.drives // 6, 1)
-    if not chosen.keep:
-        training = chain(road_sweeps(chosen.seed, chosen.drives), indoor_sweeps(chosen.seed + INDOOR_SEED, indoors))
-        fit_shape_classifier(training, chosen.seed).save(chosen.classifier)
-    detector = Detector(classifier=shape_classifier.ShapeClassifier.load(chosen.classifier))
-    seed = chosen.seed + TABLE_SEED
+    arguments = parser.parse_args(words)
+    indoors, seed = max(arguments.drives // 6, 1), arguments.seed
+    if not arguments.keep:
+        training = chain(road_sweeps(seed, arguments.drives), indoor_sweeps(seed + INDOOR_SEED, indoors))
+        fit_shape_classifier(training, seed).save(arguments.classifier)
+    detector = Detector(classifier=shape_classifier.ShapeClassifier.load(arguments.classifier))
+    seed += TABLE_SEED
     about = facts(
-        worlds=f"{chosen.drives} road drives with seeds from {seed}, {indoors} indoors from {seed + INDOOR_SEED},"
+        worlds=f"{arguments.drives} road drives with seeds from {seed}, {indoors} indoors from {seed + INDOOR_SEED},"
         " two sweeps each, clear weather"
     )
-    sweeps = chain(road_sweeps(seed, chosen.drives), indoor_sweeps(seed + INDOOR_SEED, indoors))
+    sweeps = chain(road_sweeps(seed, arguments.drives), indoor_sweeps(seed + INDOOR_SEED, indoors))
     table = measure_table(detector, sweeps, about)
-    table.save(chosen.table)
+    table.save(arguments.table)
     print(f"{table.sweeps} sweeps, {table.total.sum()} objects, {table.found.sum()} found")
 
 

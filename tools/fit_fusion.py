@@ -30,7 +30,7 @@ PLACE = Path(__file__).resolve().parents[1] / "packages/viewshed/src/viewshed/ob
 WORLDS, SENSORS = ("street", "junction", "parking"), ("hdl32e", "os1_64", "vlp32c", "hdl64e")
 
 SEED, ACCUSED = 20_261_123, 0.03
-"""Of all that is random; share of honest tracks that may be accused."""
+"""Seed of all random draws; share of honest tracks that may be accused."""
 
 
 def sweeps_of(number: int, seconds: float) -> Iterator[Sweep]:
@@ -42,7 +42,7 @@ def sweeps_of(number: int, seconds: float) -> Iterator[Sweep]:
 
 
 def observed(number: int, seconds: float) -> Iterator[Observed]:
-    """Yield what fusion is given of a benign drive."""
+    """Yield the input of fusion on a benign drive."""
     estimator, objects = load_estimator("shadow_map"), ObjectStream()
     for sweep in sweeps_of(number, seconds):
         leveled = level(sweep, estimator.grid)
@@ -50,30 +50,30 @@ def observed(number: int, seconds: float) -> Iterator[Observed]:
 
 
 def accused_share(drives: range, seconds: float, model: EvidenceModel) -> tuple[int, int]:
-    """Return how many honest confirmed tracks of drives a model accuses at any time, of how many."""
+    """Return the number of honest confirmed tracks that a model ever accuses, and the number of all."""
     highest = [row for k in drives for row in highest_e_values(observed(k, seconds), model).values()]
     over = np.asarray((np.array(highest) >= np.array(model.limits)).any(axis=1))
     return int(over.sum()), len(over)
 
 
 def main() -> None:
-    """Fit where it is wanted, and check."""
+    """Fit the model unless it is kept, and check it."""
     parser = argparse.ArgumentParser(prog="fit_fusion.py", description=__doc__)
     parser.add_argument("--keep", action="store_true", help="keep the shipped model, and only check it")
     parser.add_argument("--drives", type=int, default=16, help="benign drives, half of them for limits")
     parser.add_argument("--checks", type=int, default=6, help="further drives on which accusations are counted")
     parser.add_argument("--seconds", type=float, default=6.0, help="of each drive")
-    chosen = parser.parse_args()
-    if not chosen.keep:
-        fit(chosen.drives, chosen.seconds).save(PLACE)
+    arguments = parser.parse_args()
+    if not arguments.keep:
+        fit(arguments.drives, arguments.seconds).save(PLACE)
         shipped_model.cache_clear()
-    checks = range(chosen.drives, chosen.drives + chosen.checks)
-    over, count = accused_share(checks, chosen.seconds, shipped_model())
+    checks = range(arguments.drives, arguments.drives + arguments.checks)
+    over, count = accused_share(checks, arguments.seconds, shipped_model())
     print(f"honest tracks accused: {over / count:.3f} ({over} of {count})")
 
 
 def fit(drives: int, seconds: float) -> EvidenceModel:
-    """Return the model of benign drives."""
+    """Return the model fitted on benign drives."""
     rng, counts, highest = np.random.default_rng(SEED), EvidenceCounts(), list[np.ndarray]()
     for number in range(0, drives, 2):
         count_drive(observed(number, seconds), counts, rng)

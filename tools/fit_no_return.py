@@ -39,14 +39,14 @@ Work = Callable[[argparse.Namespace], None]
 SCENES_OF_FILE, GROUPS_OF_SWEEP, BATCH, RATE = 10, 400, 2048, 3e-3
 HELD_SHARE = 0.12
 VARIANTS = ((False, False, False), (True, False, False), (True, True, False), (False, False, True), (False, True, True))
-"""Of each sweep: whether things swallow light, whether the sensor loses returns, whether something close covers it."""
+"""Variants of each sweep: with absorbing things, with lost returns, with a close cover of the sensor."""
 
 CLEAN_SHARE = 0.7
-"""Of the groups shown: those of sweeps as the simulator gives them, and not of ones that lose returns."""
+"""Weight of the samples from unchanged sweeps in the training, against those from variants with lost returns."""
 
 
 def make_file(folder: Path, scenes: list[WildScene]) -> None:
-    """Write the samples of scenes into one file of a folder; one that is there is kept."""
+    """Write the samples of scenes into one file of a folder; skip an existing file."""
     path = folder / f"{scenes[0].name.rsplit('-', 1)[0]}-{len(scenes)}.npz"
     if path.exists():
         return
@@ -58,12 +58,12 @@ def make_file(folder: Path, scenes: list[WildScene]) -> None:
         number = scene.number % scene.domain.sweeps
         seen, rng = scene.observe(number), scene.rng(100, number)
         given = seen.given(("rings", "rings", "nothing")[scene.number % 3])
-        whole = level(given, seen.truth.grid)
+        unchanged = level(given, seen.truth.grid)
         for absorbs, loses, covered in VARIANTS:
             keep, windows, sweep = np.ones(len(given), np.bool_), np.zeros((0, 4)), given
             cover_m: float | None = None
             if absorbs:
-                keep &= without_absorbed(whole, rng)
+                keep &= without_absorbed(unchanged, rng)
             if loses:
                 kept, windows = kept_returns(given, rng)
                 keep &= kept
@@ -72,21 +72,21 @@ def make_file(folder: Path, scenes: list[WildScene]) -> None:
                 keep &= kept
             if keep.sum() < 100:
                 continue
-            is_whole = not (absorbs or loses or covered)
-            leveled = whole if is_whole else level(sweep.select(keep), seen.truth.grid)
-            made = samples_of(seen, leveled, windows, cover_m)
-            if made is not None:
-                some = rng.permutation(len(made.end))[:GROUPS_OF_SWEEP]
-                rows.append(Samples(made.feature[some], made.stop[some], made.end[some], made.beams[some]))
-                clean.append(np.full(len(some), is_whole))
+            is_clean = not (absorbs or loses or covered)
+            leveled = unchanged if is_clean else level(sweep.select(keep), seen.truth.grid)
+            samples = samples_of(seen, leveled, windows, cover_m)
+            if samples is not None:
+                picked = rng.permutation(len(samples.end))[:GROUPS_OF_SWEEP]
+                rows.append(Samples(*(column[picked] for column in samples)))
+                clean.append(np.full(len(picked), is_clean))
     if not rows:
         return
-    together = (np.concatenate(column) for column in zip(*rows, strict=True))
-    write_part(path, clean=np.concatenate(clean), **dict(zip(Samples._fields, together, strict=True)))
+    columns = (np.concatenate(column) for column in zip(*rows, strict=True))
+    write_part(path, clean=np.concatenate(clean), **dict(zip(Samples._fields, columns, strict=True)))
 
 
 def write_part(path: Path, **columns: NDArray[Any]) -> None:
-    """Write columns of equal length into a file, whole or not at all."""
+    """Write columns of equal length into a file, atomically."""
     part = path.with_suffix(".part.npz")
     np.savez(part, **columns)  # type: ignore[arg-type]
     part.replace(path)
@@ -99,7 +99,7 @@ def parts_in(folder: Path) -> list[Path]:
 
 
 def without_absorbed(leveled: LeveledSweep, rng: np.random.Generator) -> Mask:
-    """Return which returns (N,) are left where some things swallow light: black walls, glass, what somebody removed."""
+    """Return the mask (N,) of returns that remain if some things absorb light: black walls, glass, removal attacks."""
     keep = np.ones(len(leveled.sweep), np.bool_)
     high = np.flatnonzero(leveled.height_m > 0.2)
     for _ in range(int(rng.integers(1, 7)) if len(high) else 0):
@@ -111,11 +111,10 @@ def without_absorbed(leveled: LeveledSweep, rng: np.random.Generator) -> Mask:
 
 
 def kept_returns(sweep: Sweep, rng: np.random.Generator) -> tuple[Mask, NDArray[np.float64]]:
-    """Return which returns (N,) a poor sensor in a poor place gives, and the windows (W, 4) in which it is blind.
+    """Return the mask (N,) of returns of a degraded sensor, and the windows (W, 4) in which it is blind.
 
-    It loses some at random, all of some windows of angle (a cap on the lens, somebody who removes returns), the near
-    ones of some rings (channels that are blind there), and more with range. A window is azimuth, elevation, and half of
-    its size in both.
+    It loses random returns, all in some angular windows (a cap on the lens, a removal attack), near ones of some rings
+    (channels with a blind zone), and more with range. A window is azimuth, elevation, and half of its size in both.
     """
     x, y, z = sweep.points.T.astype(np.float64)
     range_m, azimuth = np.sqrt(x * x + y * y + z * z) + 1e-6, np.arctan2(y, x)
@@ -136,9 +135,9 @@ def kept_returns(sweep: Sweep, rng: np.random.Generator) -> tuple[Mask, NDArray[
 
 
 def with_cover(sweep: Sweep, rng: np.random.Generator) -> tuple[Sweep, Mask, NDArray[np.float64], float]:
-    """Return a sweep of a sensor that something close covers in part, which of its returns are seen, and the cover.
+    """Return the sweep of a partly covered sensor, the mask (N,) of its returns, and the cover (window and range).
 
-    The cover is a window (1, 4) of angle at one range. Rings that are blind so near get no return from it.
+    The cover is an angular window (1, 4) at one range. Rings that are blind at that range get no return from it.
     """
     azimuth, elevation = np.arctan2(sweep.points[:, 1], sweep.points[:, 0]), np.zeros(len(sweep))
     windows = np.array([[rng.uniform(-np.pi, np.pi), 0.0, rng.uniform(0.3, 3.2), 2.0]])
@@ -151,14 +150,14 @@ def with_cover(sweep: Sweep, rng: np.random.Generator) -> tuple[Sweep, Mask, NDA
     return sweep.replace(points=points), ~behind | seen, windows, cover_m
 
 
-def make(given: argparse.Namespace) -> None:
+def make(arguments: argparse.Namespace) -> None:
     """Write the samples of a set."""
-    first, last = map(int, given.scenes.split(":"))
-    make_files(given.out, wild_scenes(given.set, given.domain)[first:last], make_file)
+    first, last = map(int, arguments.scenes.split(":"))
+    make_files(arguments.out, wild_scenes(arguments.set, arguments.domain)[first:last], make_file)
 
 
 def make_files(folder: Path, scenes: list[WildScene], make_one: Callable[[Path, list[WildScene]], None]) -> None:
-    """Make the files of scenes, some in each."""
+    """Write the files of scenes, ``SCENES_OF_FILE`` scenes per file."""
     folder.mkdir(parents=True, exist_ok=True)
     for at in range(0, len(scenes), SCENES_OF_FILE):
         make_one(folder, scenes[at : at + SCENES_OF_FILE])
@@ -167,7 +166,7 @@ def make_files(folder: Path, scenes: list[WildScene], make_one: Callable[[Path, 
 def descend(
     net: nn.Module, rate: float, decay: float, steps: int, loss_of: Callable[[], torch.Tensor]
 ) -> Iterator[tuple[int, torch.Tensor]]:
-    """Fit a network in one cycle of the learning rate; yield the number of each step that is done, from 1, and loss."""
+    """Fit a network with one cycle of the learning rate; yield number (from 1) and loss of each finished step."""
     optimizer = torch.optim.AdamW(net.parameters(), rate, weight_decay=decay)
     schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, rate, steps)
     for step in range(1, steps + 1):
@@ -179,9 +178,9 @@ def descend(
         yield step, loss
 
 
-def fit(given: argparse.Namespace) -> None:
+def fit(arguments: argparse.Namespace) -> None:
     """Fit a network to all samples of a folder, and write it."""
-    files = [np.load(path) for path in parts_in(given.folder)]
+    files = [np.load(path) for path in parts_in(arguments.folder)]
     columns = {name: np.concatenate([file[name] for file in files]) for name in Samples._fields}
     held = np.concatenate([np.arange(len(file["end"])) >= (1 - HELD_SHARE) * len(file["end"]) for file in files])
     tensors = {name: torch.tensor(column.astype(np.float32)) for name, column in columns.items()}
@@ -197,28 +196,28 @@ def fit(given: argparse.Namespace) -> None:
     def loss_of() -> torch.Tensor:
         return -_likelihood(net, tensors, own[torch.multinomial(weight, BATCH, replacement=True)]).mean()
 
-    for step, loss in descend(net, RATE, 1e-4, given.steps, loss_of):
-        if step % 500 == 0 or step == given.steps:
+    for step, loss in descend(net, RATE, 1e-4, arguments.steps, loss_of):
+        if step % 500 == 0 or step == arguments.steps:
             with torch.no_grad():
                 held_loss = -float(_likelihood(net, tensors, other).mean())
             print(f"step {step}: {float(loss):.3f}, held {held_loss:.3f}", flush=True)
-    given.out.write_text(source_of(net.arrays()), encoding="ascii")
+    arguments.out.write_text(source_of(net.arrays()), encoding="ascii")
     report(net, tensors, report_rows)
 
 
 def report(net: NoReturnNet, tensors: dict[str, torch.Tensor], rows: torch.Tensor) -> None:
-    """Print how well the survival to some ranges is calibrated."""
+    """Print the calibration of the survival probability at some ranges."""
     ranges = torch.tensor([2.0, 3.0, 4.0, 5.0, 6.0])
     with torch.no_grad():
         survival = Mixture.of(net, tensors["feature"][rows], tensors["stop"][rows]).survival(ranges).numpy()
     end = tensors["end"][rows].numpy()
     for k, log_m in enumerate(ranges.tolist()):
-        there, said = end > log_m, survival[:, k]
-        bins = np.minimum((said * 10).astype(int), 9)
+        true, prob = end > log_m, survival[:, k]
+        bins = np.minimum((prob * 10).astype(int), 9)
         text = " ".join(
-            f"{said[bins == b].mean():.2f}/{there[bins == b].mean():.2f}" for b in range(10) if (bins == b).sum() > 50
+            f"{prob[bins == b].mean():.2f}/{true[bins == b].mean():.2f}" for b in range(10) if (bins == b).sum() > 50
         )
-        print(f"{2**log_m:.0f} m: {there.mean():.3f} went on; said/true {text}")
+        print(f"{2**log_m:.0f} m: {true.mean():.3f} went on; said/true {text}")
 
 
 def _likelihood(net: NoReturnNet, tensors: dict[str, torch.Tensor], rows: torch.Tensor) -> torch.Tensor:
@@ -227,13 +226,13 @@ def _likelihood(net: NoReturnNet, tensors: dict[str, torch.Tensor], rows: torch.
 
 
 def main(words: Sequence[str] | None = None) -> None:
-    """Do what the command line says."""
-    given = parser_of("fit_no_return.py", __doc__, ("learning", "training"), make, fit)[0].parse_args(words)
-    given.work(given)
+    """Run the step of the command line."""
+    arguments = parser_of("fit_no_return.py", __doc__, ("learning", "training"), make, fit)[0].parse_args(words)
+    arguments.work(arguments)
 
 
 def parser_of(prog: str, about: str | None, sets: Sequence[str], make: Work, fit: Work) -> tuple[Any, Any]:
-    """Return the parser of a tool that makes samples and fits a network to them, and what adds further steps."""
+    """Return the parser of a tool with steps ``make`` and ``fit``, and the action that adds further steps."""
     parser = argparse.ArgumentParser(prog=prog, description=about, formatter_class=argparse.RawTextHelpFormatter)
     steps = parser.add_subparsers(required=True)
     step = steps.add_parser("make")

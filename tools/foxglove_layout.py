@@ -10,7 +10,7 @@ PLACE = Path(__file__).resolve().parents[1] / "docs" / "assets" / "foxglove_layo
 
 
 def layout(agent: str = "ego") -> dict[str, Any]:
-    """Return the layout as Foxglove's software kit writes it."""
+    """Return the layout as written by Foxglove's SDK."""
     from foxglove import layouts as fox
 
     grid = fox.BaseRendererGridTopicSettings(
@@ -36,8 +36,8 @@ def layout(agent: str = "ego") -> dict[str, Any]:
     )  # fmt: skip
     log = fox.LogPanel(title="Alarms", config=fox.LogConfig(topic_to_render="/log", min_log_level=1))
     parts = [fox.SplitItem(proportion=4, content=view), fox.SplitItem(proportion=1, content=log)]
-    made: dict[str, Any] = json.loads(fox.Layout(content=fox.SplitContainer(direction="column", items=parts)).to_json())
-    return made
+    tree: dict[str, Any] = json.loads(fox.Layout(content=fox.SplitContainer(direction="column", items=parts)).to_json())
+    return tree
 
 
 if __name__ == "__main__":

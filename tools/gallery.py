@@ -53,8 +53,8 @@ class Situation:
     title: str  # of its section
     folder: str  # ``data`` or ``recordings``
     file: str  # below that folder
-    shows: str  # what a reader should look at
-    source: str  # who recorded it, by which sensor, under which license
+    shows: str  # what the picture shows, for the reader
+    source: str  # author, sensor and license of the recording
     grid: str = "road"  # name of the grid
     target: str = "car"  # name of the target
 
@@ -85,12 +85,12 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--out", type=Path, default=Path("docs"))
-    given = parser.parse_args()
-    pictures = given.out / "assets" / "gallery"
+    arguments = parser.parse_args()
+    pictures = arguments.out / "assets" / "gallery"
     pictures.mkdir(parents=True, exist_ok=True)
     parts = [_ABOUT]
     for number, situation in enumerate(situations()):
-        leveled, estimate = estimate_of(situation, given.folder.resolve())
+        leveled, estimate = estimate_of(situation, arguments.folder.resolve())
         line = summary_line(estimate)
         write_atomic(pictures / f"{situation.name}.png", estimate.plot(leveled, f"{situation.title}\n{line}"))
         parts += [
@@ -109,7 +109,7 @@ def main() -> int:
         print(f"{situation.name}: {line}", flush=True)
     parts.append(_CLIP)
     text = page("Gallery: ten real situations", facts(command="`python tools/gallery.py FOLDER`"), *parts)
-    write_atomic(given.out / "gallery.md", text.encode())
+    write_atomic(arguments.out / "gallery.md", text.encode())
     return 0
 
 

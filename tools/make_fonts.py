@@ -1,6 +1,6 @@
-"""Make the fonts of pictures: ``python tools/make_fonts.py`` cuts matplotlib's DejaVu Sans down to what is written.
+"""Make the fonts of pictures: ``python tools/make_fonts.py`` subsets matplotlib's DejaVu Sans to the needed characters.
 
-Latin, Greek and Cyrillic letters, arrows and the signs of mathematics that titles hold: 62 KB a font instead of 740 KB.
+Latin, Greek and Cyrillic letters, arrows, and the mathematical signs in titles: 62 KB per font instead of 740 KB.
 """
 
 import shutil
@@ -19,14 +19,14 @@ CHARACTERS = (
 
 def main() -> None:
     """Write the fonts and their license into the package."""
-    whole = Path(mpl.get_data_path()) / "fonts" / "ttf"
+    source = Path(mpl.get_data_path()) / "fonts" / "ttf"
     for name in ("DejaVuSans.ttf", "DejaVuSans-Bold.ttf"):
         subset.main([
-            str(whole / name), f"--unicodes={CHARACTERS}", f"--output-file={FOLDER / name}", "--no-hinting",
+            str(source / name), f"--unicodes={CHARACTERS}", f"--output-file={FOLDER / name}", "--no-hinting",
             "--notdef-outline", "--no-recalc-timestamp", "--drop-tables+=FFTM,GPOS,GSUB,GDEF",
         ])  # fmt: skip
         sys.stdout.write(f"{name}: {(FOLDER / name).stat().st_size} bytes\n")
-    shutil.copy(whole / "LICENSE_DEJAVU", FOLDER)
+    shutil.copy(source / "LICENSE_DEJAVU", FOLDER)
 
 
 if __name__ == "__main__":

@@ -21,13 +21,13 @@ HEIGHT_M = 1.84
 
 
 def sample_model() -> LidarModel:
-    """Return the HDL-32E of the sample, which fires half a column later than the table says."""
+    """Return the HDL-32E of the sample, which fires half a column later than in the table."""
     model = lidar_model("hdl32e")
     return replace(model, azimuth_offset=model.azimuth_offset + model.azimuth_step / 2)
 
 
 def truth_content() -> bytes:
-    """Return the NPZ of the sample's truth for a car on the grid ``road``: returns, states, and where it is known."""
+    """Return the NPZ of the sample's truth for a car on the grid ``road``: returns, states, mask of known cells."""
     scan = scan_of(sample_model(), junction(), HEIGHT_M)
     truth, known = exact_truth(scan, junction().world(), GRIDS["road"], (CAR,))
     buffer = io.BytesIO()
@@ -36,7 +36,7 @@ def truth_content() -> bytes:
 
 
 def main() -> None:
-    """Cast the junction, and write it and its truth into the package."""
+    """Simulate the junction, and write sweep and truth into the package."""
     sweep = cast(sample_model(), junction(), HEIGHT_M, rng=np.random.default_rng(SEED))
     rounded = sweep.replace(points=sweep.points.round(3), intensity=np.zeros(len(sweep), np.float32))
     write_sweep(rounded, junction_path())

@@ -104,7 +104,7 @@ def _files(cards: dict[str, NetworkCard]) -> Iterator[list[str]]:
         grid = f"{line.cells} × {line.cells}, ±{line.half_extent_m:g} m"
         yield [
             f"`{name}`", f"{size / 1000:.0f}", f"`{line.sha256[:12]}…`", grid, line.target,
-            ", ".join(f"`{each}`" for each in line.methods) or "name alone",
+            ", ".join(f"`{method}`" for method in line.methods) or "name alone",
             f"{card.shape.parameters:,}", f"{card.shape.flops(line.cells) / 1e9:.2f}", card.precision,
         ]  # fmt: skip
 
@@ -113,9 +113,9 @@ def _files(cards: dict[str, NetworkCard]) -> Iterator[list[str]]:
 class Prior:
     """A network that is compiled into the core."""
 
-    file: str  # its numbers, in the folder of the core
-    tool: str  # that fits it
-    says: str  # what it answers, and in which unit
+    file: str  # its weights, in the folder of the core
+    tool: str  # the tool that fits it
+    says: str  # its output with unit
 
 
 PRIORS = (
@@ -126,7 +126,7 @@ PRIORS = (
 
 
 def commands_of(tool: str) -> list[str]:
-    """Return the commands that make and fit, as the tool's own text has them."""
+    """Return the ``make`` and ``fit`` commands in the docstring of a tool."""
     text = ast.get_docstring(ast.parse((ROOT / "tools" / tool).read_text(encoding="utf-8"))) or ""
     return re.findall(rf"^ +(python tools/{tool} (?:make|fit) .*)$", text, re.MULTILINE)
 
@@ -154,7 +154,7 @@ def _training(card: NetworkCard) -> list[str]:
 
 
 def _attacks(cards: Iterable[NetworkCard]) -> list[list[str]]:
-    """Return a row for each list of attacks, with the networks that it is of."""
+    """Return one row per list of attacks, with the networks that were trained on it."""
     names: dict[tuple[str, str], list[str]] = {}
     for card in cards:
         shown = card.trained["attacks"].split(", ")

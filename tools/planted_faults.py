@@ -27,7 +27,7 @@ LIMIT_S = 600
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """One fault: in ``file`` of the core ``find``, which occurs once whatever its white space, becomes ``replace``."""
+    """One fault: in ``file`` of the core, ``find`` (unique, white space ignored) is replaced by ``replace``."""
 
     what: str
     file: str
@@ -52,10 +52,10 @@ def plant(fault: Fault, core: Path) -> tuple[Path, str]:
     source = path.read_text(encoding="utf-8")
     tokens = re.findall(r"\w+|[^\w\s]", fault.find)
     pattern = r"\s*".join(rf"\b{token}\b" if token[0].isalnum() else re.escape(token) for token in tokens)
-    found = list(re.finditer(pattern, source))
-    if len(found) != 1:
-        raise ValueError(f"`find` must occur once in {fault.file}, found {len(found)} times: {fault.find!r}; mend it")
-    start, end = found[0].span()
+    matches = list(re.finditer(pattern, source))
+    if len(matches) != 1:
+        raise ValueError(f"`find` must occur once in {fault.file}, found {len(matches)} times: {fault.find!r}; mend it")
+    start, end = matches[0].span()
     return path, source[:start] + fault.replace + source[end:]
 
 
@@ -83,14 +83,14 @@ def make_copy(project: Path) -> None:
 
 
 def build(project: Path) -> None:
-    """Compile what has changed in the core of a copy."""
+    """Compile the changed files of the core of a copy."""
     run = subprocess.run(("cmake", "--build", str(project / "build")), capture_output=True, text=True, check=False)
     if run.returncode != 0:
         raise RuntimeError(f"the core does not compile: {(run.stdout + run.stderr)[-300:].strip()}")
 
 
 def first_failure(project: Path, tests: tuple[str, ...]) -> str | None:
-    """Return the first test that fails, or None where all pass."""
+    """Return the first test that fails, or None if all pass."""
     command = [sys.executable, "-m", "pytest", "-x", "-q", "--tb=no", "-p", "no:cacheprovider", *tests]
     environment = environment_of(project) | {"PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1", "COLUMNS": "1000"}
     run = subprocess.run(
@@ -105,25 +105,23 @@ def first_failure(project: Path, tests: tuple[str, ...]) -> str | None:
 
 
 def judge(fault: Fault, project: Path) -> str | None:
-    """Return the first test that fails with a fault, or None; the copy is sound again afterwards, once it is built."""
+    """Return the first test that fails with a fault, or None; restore the source afterwards (without a build)."""
     path, faulty = plant(fault, project / CORE)
-    sound = path.read_text(encoding="utf-8")
+    original = path.read_text(encoding="utf-8")
     try:
         path.write_text(faulty, encoding="utf-8")
         build(project)
         return first_failure(project, fault.tests)
     finally:
-        path.write_text(sound, encoding="utf-8")
+        path.write_text(original, encoding="utf-8")
 
 
 def main() -> int:
     """Run the faults; return 1 if one was not caught."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--only", default="", help="run only the faults whose description or file holds this text")
-    given = parser.parse_args()
-    faults = [
-        each for each in read_faults(Path(__file__).with_suffix(".toml")) if given.only in f"{each.what} {each.file}"
-    ]
+    only = parser.parse_args().only
+    faults = [one for one in read_faults(Path(__file__).with_suffix(".toml")) if only in f"{one.what} {one.file}"]
     missed = []
     with tempfile.TemporaryDirectory() as folder:
         make_copy(Path(folder))

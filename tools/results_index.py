@@ -24,13 +24,13 @@ ROOT = Path(__file__).resolve().parents[1]
 FOLDER = ROOT / "docs" / "results"
 MARK = "<!-- pages -->"
 LOG = "wild_openings"
-"""A log, without numbers on its top."""
+"""A log, without figures at its top."""
 OLDER = "older"
 _BOUND = re.compile(r"^- sources: (\w+)$", re.MULTILINE)
 
 
 def overview(folder: Path) -> str:
-    """Return the tables of the overview, one for each group, of the pages in a folder."""
+    """Return the tables of the overview of the pages in a folder, one table per group."""
     groups: dict[str, list[list[str]]] = {}
     for page in result_pages().values():
         now = sources_hash(page.sources)
@@ -48,7 +48,7 @@ def overview(folder: Path) -> str:
 
 
 def with_overview(index: str) -> str:
-    """Return the page of the overview with its tables anew."""
+    """Return the page of the overview with updated tables."""
     above, mark, _ = index.partition(MARK)
     if not mark:
         raise ValueError(f"index.md must have a line {MARK}")
@@ -56,7 +56,7 @@ def with_overview(index: str) -> str:
 
 
 def rebind(commit: str) -> list[str]:
-    """Bind the pages that were not older at a commit to the files of now; return their names."""
+    """Bind the pages that were up to date at a commit to the current files; return their names."""
     paths = _git("ls-tree", "-r", "--name-only", commit).splitlines()
     (settings,) = [path for path in paths if path.endswith("/result_pages.toml")]
     then = sources_in(_git("show", f"{commit}:{settings}"))
@@ -65,7 +65,7 @@ def rebind(commit: str) -> list[str]:
         before, now = sources_hash(then.get(page.title, []), commit), sources_hash(page.sources)
         for name in page.files if before and now else ():
             path = FOLDER / f"{name}.md"
-            old = [each for each in paths if each.endswith(f"docs/results/{name}.md")]
+            old = [other for other in paths if other.endswith(f"docs/results/{name}.md")]
             was = _BOUND.search(_git("show", f"{commit}:{old[0]}")) if old else None
             if was and was[1] == before:
                 path.write_text(_BOUND.sub(f"- sources: {now}", path.read_text(encoding="utf-8")), encoding="utf-8")
@@ -81,9 +81,9 @@ def main() -> int:
     """Write the overview; return the exit code."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--rebind", metavar="COMMIT", help="bind pages whose code only moved since this commit")
-    given = parser.parse_args()
-    if given.rebind:
-        print(f"bound to the files of now: {', '.join(rebind(given.rebind)) or 'none'}")
+    arguments = parser.parse_args()
+    if arguments.rebind:
+        print(f"bound to the files of now: {', '.join(rebind(arguments.rebind)) or 'none'}")
     index = FOLDER / "index.md"
     index.write_text(with_overview(index.read_text(encoding="utf-8")), encoding="utf-8")
     print(f"{index.read_text(encoding='utf-8').count(f'| {OLDER}')} pages are older than the code")

@@ -41,13 +41,13 @@ def main(words: Sequence[str] | None = None) -> None:
     parser.add_argument("--frames", type=int, default=FRAMES, help="sweeps that calibrate; as many others check")
     parser.add_argument("--folder", type=Path, default=WEIGHTS)
     parser.add_argument("--page", type=Path, default=OUT)
-    chosen = parser.parse_args(words)
-    store = ResultStore.open(chosen.study, PaperPlan.load(chosen.preset))
-    ship_study(store, chosen.frames, chosen.folder, chosen.page)
+    arguments = parser.parse_args(words)
+    store = ResultStore.open(arguments.study, PaperPlan.load(arguments.preset))
+    ship_study(store, arguments.frames, arguments.folder, arguments.page)
 
 
 def ship_study(store: ResultStore[PaperPlan], frames: int, folder: Path, page: Path) -> None:
-    """Ship the networks of the paper's protocol, in bytes where that costs little, and write their page."""
+    """Ship the networks of the paper's protocol, quantized if that costs little, and write their page."""
     results, files, models = PaperResults.read(store), list[list[str]](), store.plan.models([PAPER])
     missing = [model.name for model in models if model.key[1:] not in results.models]
     if missing:
@@ -84,18 +84,18 @@ def _file_row(line: ShippedWeights, size: int, costs: Sequence[QuantizationCost]
 
 
 def _training_row(results: PaperResults, model: Model) -> list[str]:
-    config, found = config_of(results.plan, results.store.folder, model), results.models[model.key[1:]]
+    config, training = config_of(results.plan, results.store.folder, model), results.models[model.key[1:]]
     preset = preset_of(results.plan, model.domain, "train")
-    best = found["history"][found["best"] - 1]
+    best = training["history"][training["best"] - 1]
     return [
         f"`{config.name}`", f"{model.domain}: {preset.sweeps:,} sweeps of {preset.scenes[0]:,} scenes",
         f"{config.attack_share:.0%}", f"{config.shape.dropout:g}", f"{config.learning_rate:g}",
-        str(len(found["history"])), str(found["best"]), format_rate(best["f1"]),
+        str(len(training["history"])), str(training["best"]), format_rate(best["f1"]),
     ]  # fmt: skip
 
 
 def _score_row(results: PaperResults, model: Model) -> list[str]:
-    """Return precision, recall, accuracy and F1 in the own domain, and F1 in the others, tested as it was trained."""
+    """Return precision, recall, accuracy and F1 in the own domain, and F1 in the others, for the training mixture."""
     kind = (model.variant, model.mixture, model.mixture)
     [of] = [one for one in (*SUB_TABLES, *OTHERS) if (one.variant, one.trained, one.tested) == kind]
     counts = {test: results.pairs.counts(of.key(PAPER, test, model.domain)) for test in results.domains}

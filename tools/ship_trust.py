@@ -1,6 +1,6 @@
-"""Write what trust between agents needs into the package, from a study: ``python tools/ship_trust.py STUDY``.
+"""Copy the files for trust between agents from a study into the package: ``python tools/ship_trust.py STUDY``.
 
-``honest.json``: what honest agents do. ``limits.json``: how much evidence there is against honest agents.
+``honest.json``: model of honest agents. ``limits.json``: limits of the evidence against honest agents.
 """
 
 from __future__ import annotations

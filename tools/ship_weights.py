@@ -26,12 +26,12 @@ def main(words: Sequence[str] | None = None) -> None:
         "--methods", default="unet,mc_dropout", help="estimators that take it where no weights are named; may be none"
     )
     parser.add_argument("--folder", type=Path, default=WEIGHTS)
-    chosen = parser.parse_args(words)
-    ship(chosen.file, chosen.name, tuple(filter(None, chosen.methods.split(","))), chosen.folder)
+    arguments = parser.parse_args(words)
+    ship(arguments.file, arguments.name, tuple(filter(None, arguments.methods.split(","))), arguments.folder)
 
 
 def ship(file: Path, name: str, methods: tuple[str, ...], folder: Path) -> ShippedWeights:
-    """Check a network's file, write it into a folder of weights, and return its line of the manifest."""
+    """Check a network's file, copy it to a folder of weights, and return its line of the manifest."""
     content = file.read_bytes()
     card = OnnxRunner.of_content(content, str(file), 1, "onnxruntime").card
     _run_once(content, file)
@@ -47,9 +47,9 @@ def ship(file: Path, name: str, methods: tuple[str, ...], folder: Path) -> Shipp
 def _run_once(content: bytes, file: Path) -> None:
     runner = OnnxRunner.of_content(content, str(file), 1, "onnxruntime")
     card = runner.card
-    nothing = card.shown(np.zeros((1, *card.grid.shape), np.uint8))
-    found = runner.run(nothing[None])
-    if not ((found >= 0) & (found <= 1)).all():
+    empty = card.shown(np.zeros((1, *card.grid.shape), np.uint8))
+    prob = runner.run(empty[None])
+    if not ((prob >= 0) & (prob <= 1)).all():
         raise ValueError(f"{file} must give probabilities, got values outside [0, 1]; train it again")
 
 

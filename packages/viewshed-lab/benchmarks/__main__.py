@@ -24,11 +24,11 @@ SEED = 20_250_307
 
 
 def main() -> None:
-    """Run what the command line names."""
+    """Run the benchmarks selected on the command line."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
     parser.add_argument("--page", type=Path, default=PAGE, help="where the Markdown goes; the JSON goes beside it")
     parser.add_argument("--only", default="", help="measure only the steps that contain this word")
-    chosen = parser.parse_args()
+    arguments = parser.parse_args()
     bandwidth = bandwidth_bytes_per_s()
     facts = facts_of_run(
         command=f"`{' '.join(['python -m benchmarks', *sys.argv[1:]])}`",
@@ -37,10 +37,10 @@ def main() -> None:
         bandwidth=f"{bandwidth / 1e9:.1f} GB/s by one thread, read and written in a copy of 256 MB",
     )
     with tempfile.TemporaryDirectory() as name:
-        rows = list(_measured(Path(name), chosen.only, bandwidth, facts))
-    if not chosen.only:
-        write(rows, facts, chosen.page)
-        print(f"written to {chosen.page}")
+        rows = list(_measured(Path(name), arguments.only, bandwidth, facts))
+    if not arguments.only:
+        write(rows, facts, arguments.page)
+        print(f"written to {arguments.page}")
 
 
 def _measured(folder: Path, only: str, bandwidth: float, facts: dict[str, str]) -> Iterator[Row]:

@@ -1,4 +1,4 @@
-"""The same jobs with the tools that people use today."""
+"""The same steps with commonly used tools."""
 
 from __future__ import annotations
 
@@ -58,8 +58,8 @@ def hulls(sweep: Sweep, grid: BevGrid) -> dict[str, Callable[[], object]]:
     ours = ConcaveHull(grid)
 
     def by_concave_hull() -> NDArray[np.uint8]:
-        found = concave_hull_indexes(xy, concavity=ours.concavity, length_threshold=ours.length_threshold_m)
-        return _fill(shapely.Polygon(xy[found]), grid)
+        hull = concave_hull_indexes(xy, concavity=ours.concavity, length_threshold=ours.length_threshold_m)
+        return _fill(shapely.Polygon(xy[hull]), grid)
 
     def by_shapely() -> NDArray[np.uint8]:
         return _fill(shapely.concave_hull(shapely.MultiPoint(xy), ratio=0.05), grid)
@@ -73,14 +73,14 @@ def _fill(polygon: Any, grid: BevGrid) -> NDArray[np.uint8]:
 
 
 def _affine(grid: BevGrid) -> Affine:
-    """Rows are x and columns y, as in the arrays of a grid."""
+    """Return the transform of a grid's arrays, whose rows are x and columns y."""
     return Affine(0.0, grid.cell_m, grid.origin_m[0], grid.cell_m, 0.0, grid.origin_m[1])
 
 
 def polygon_by_rasterio(mask: NDArray[np.bool_], grid: BevGrid) -> MultiPolygon:
     """Return the mask's cells as polygons with holes by ``rasterio.features.shapes``."""
-    found = shapes(mask.astype(np.uint8), mask=mask, connectivity=4, transform=_affine(grid))
-    rings = (outline["coordinates"] for outline, _ in found)
+    outlines = shapes(mask.astype(np.uint8), mask=mask, connectivity=4, transform=_affine(grid))
+    rings = (outline["coordinates"] for outline, _ in outlines)
     return MultiPolygon([shapely.Polygon(outer, holes) for outer, *holes in rings])
 
 

@@ -1,4 +1,4 @@
-"""The steps that are measured, each with its target, its alternatives and the bytes that it cannot avoid moving."""
+"""The measured steps, each with its target, its alternatives and the minimum number of bytes that it moves."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ QUICK = ("farthest", "continuous", "quantized", "first_blocker", "trimmed")
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """One row: what is done, to what, within which time, and beside what."""
+    """One row: a step with its input size, target and alternatives."""
 
-    step: str  # what is done
+    step: str  # description of the step
     size: str  # "35k" or "120k"
-    job: Callable[[], object]  # does it once
-    floor_bytes: int  # bytes that must be read and written at least
-    target_ms: float | None = None  # most milliseconds, or None
-    target_ratio: tuple[str, float] | None = None  # most (name of an alternative, multiple of its time), or None
+    job: Callable[[], object]  # runs the step once
+    floor_bytes: int  # minimum number of bytes read and written
+    target_ms: float | None = None  # maximum milliseconds, or None
+    target_ratio: tuple[str, float] | None = None  # maximum (name of an alternative, multiple of its time), or None
     others: Mapping[str, Callable[[], object]] = field(default_factory=dict)  # the alternatives by name
 
 
@@ -79,7 +79,7 @@ def _counting(size: str, sweep: Sweep) -> Case:
         "np.bincount": by(alternatives.count_by_bincount),
     }
     for name, other in others.items():
-        # The beams fired straight back lie on an edge of cells, where float32 and float64 may differ.
+        # Beams straight back lie on the edge of cells, where float32 and float64 may differ.
         _same(name, float(np.abs(ours() - other()).sum()) / len(points), at_most=0.003)
     floor = POINT_BYTES * len(points) + 4 * GRID.cells**2
     return Case("project, filter, count", size, ours, floor, {"35k": 0.15, "120k": 0.4}[size], others=others)

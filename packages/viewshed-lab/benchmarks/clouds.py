@@ -1,4 +1,4 @@
-"""Sweeps to measure on: a street junction as two sensors see it, as a file would give it."""
+"""Sweeps for benchmarks: a street junction measured by two sensors, with the fields of a typical file."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def synthetic(size: str, rng: np.random.Generator) -> Sweep:
 
 
 def real() -> dict[str, Sweep]:
-    """Return a nuScenes and a KITTI sweep by size, from the folder in VIEWSHED_REAL_DATA; none where it is not set."""
+    """Return a nuScenes and a KITTI sweep by size, from the folder in VIEWSHED_REAL_DATA; none if it is not set."""
     folder = os.environ.get("VIEWSHED_REAL_DATA")
     if not folder:
         return {}

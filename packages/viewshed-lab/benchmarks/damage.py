@@ -1,4 +1,4 @@
-"""Clouds as a driver would send them, and what may be wrong with them; numpy alone, for the soaks."""
+"""Clouds as a driver sends them, and damaged ones; uses numpy alone, for the soak tests."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from viewshed.io.messages.pointcloud2 import PointField
 from viewshed.sweep import Sweep
 
 FLOAT32, UINT16 = 7, 4
-"""Of ``PointField.datatype``."""
+"""Values of ``PointField.datatype``."""
 
 
 @dataclass(slots=True)
@@ -27,7 +27,7 @@ class Field:
 
 @dataclass(slots=True, eq=False)
 class Cloud:
-    """The parts of sensor_msgs/PointCloud2 that are read."""
+    """The fields of sensor_msgs/PointCloud2 that are read."""
 
     fields: Iterable[PointField]
     width: int
@@ -39,7 +39,7 @@ class Cloud:
 
 
 def cloud_of(sweep: Sweep) -> Cloud:
-    """Return a sweep's points, intensity and ring (where it is known) as a cloud."""
+    """Return a sweep's points, intensity and ring (if known) as a cloud."""
     names = ["x", "y", "z", "intensity"]
     kinds = [(name, "<f4") for name in names] + ([("ring", "<u2")] if sweep.ring is not None else [])
     table = np.zeros(len(sweep), kinds)
@@ -56,11 +56,11 @@ def cloud_of(sweep: Sweep) -> Cloud:
 
 @dataclass(frozen=True, slots=True)
 class Damage:
-    """One thing that may be wrong with a cloud."""
+    """One kind of damage to a cloud."""
 
-    change: Callable[[Cloud], Cloud]  # makes the cloud that is wrong
-    says: str  # what the refusal says, or "" where the cloud may be answered: nothing in it contradicts itself
-    why: str  # in words
+    change: Callable[[Cloud], Cloud]  # returns the damaged cloud
+    says: str  # part of the error message, or "" if the cloud is consistent and may be accepted
+    why: str  # description
 
 
 def _without(cloud: Cloud, name: str) -> Cloud:
@@ -74,7 +74,7 @@ def _all_nan(cloud: Cloud) -> Cloud:
 
 
 def _swapped(cloud: Cloud) -> Cloud:
-    """Return a cloud that says it is big-endian and is not: its numbers are noise."""
+    """Return a cloud that is falsely marked as big-endian, so that its numbers are noise."""
     return replace(cloud, is_bigendian=True)
 
 

@@ -45,19 +45,19 @@ from viewshed_lab.studies.samples import StudySample
 PRESETS = ("carla", "nuscenes", "ugv")
 SEED = 20_261_129
 TIMES, INTERVAL_S, EVERY = 11, 0.5, 2
-"""Sweeps of each agent, seconds between them, and how many further back each earlier one lies."""
+"""Sweeps of each agent, seconds between them, and step between the earlier sweeps that are used."""
 
 FEW = "150"
-"""Returns of the small attack."""
+"""Budget of the small attack in returns."""
 
 PAST = 3
-"""Sweeps of a real drive after which the others are counted."""
+"""Number of sweeps at the start of a real drive that are not counted."""
 
 METHODS = ("one sweep", "--history 5", "--history 5 --require-confirmation")
 
 
 def claims(estimator: ShadowMap, sweep: Sweep, earlier: Sequence[Sweep]) -> Iterator[NDArray[np.bool_]]:
-    """Yield what each of the methods calls visible."""
+    """Yield the mask (cells, cells) that each of ``METHODS`` calls visible."""
     leveled = level(sweep, estimator.grid)
     yield estimator.estimate(leveled).visible()
     history = history_of(leveled, earlier, estimator.grid)
@@ -90,24 +90,24 @@ def rows_of(name: str, scenes: int, folder: Path) -> Iterator[tuple[str, ...]]:
         assert few.wedge is not None
         wedge = known & few.wedge.holds(polar(estimator.grid.centers)[1])
         cell_m2 = estimator.grid.cell_m**2
-        each = (claims(estimator, sweep, earlier) for sweep in (sample.sweep, attacked.sweep, few.sweep))
-        for number, (clean, lied, lied_few) in enumerate(zip(*each, strict=True)):
+        by_sweep = (claims(estimator, sweep, earlier) for sweep in (sample.sweep, attacked.sweep, few.sweep))
+        for number, (clean, under_attack, under_few) in enumerate(zip(*by_sweep, strict=True)):
             counts[number].append(ConfusionCounts.of(clean, truth, known, cell_m2))
-            opened_m2[number] += (lied & ~clean & ~truth & known).sum() * cell_m2
-            in_wedge[number] += (lied_few & truth & wedge).sum(), (lied_few & wedge).sum()
+            opened_m2[number] += (under_attack & ~clean & ~truth & known).sum() * cell_m2
+            in_wedge[number] += (under_few & truth & wedge).sum(), (under_few & wedge).sum()
     for method, of_scenes, area_m2, (true, claimed) in zip(METHODS, counts, opened_m2, in_wedge, strict=True):
-        whole = reduce(add, of_scenes)
-        rates = map(format_rate, (whole.precision, whole.recall, whole.f1))
+        total = reduce(add, of_scenes)
+        rates = map(format_rate, (total.precision, total.recall, total.f1))
         yield name, method, *rates, f"{area_m2 / scenes:.0f}", format_rate(true / max(claimed, 1.0))
 
 
 def kept_of(data: Path) -> Iterator[tuple[str, ...]]:
-    """Yield for each real drive the share of one sweep's area that the other methods claim, once they have a past."""
+    """Yield for each real drive the area claimed by the other methods, as a share of that of single sweeps."""
     estimator = ShadowMap(GRIDS["road"], CAR)
     for sensor, scenes in posed_scenes(data / "index.json").items():
         for sweeps in (scene for scene in scenes if len(scene) > 2 * PAST):
             areas_m2 = [
-                sum(found.area_m2() for found in islice(stream, PAST, None))
+                sum(estimate.area_m2() for estimate in islice(stream, PAST, None))
                 for stream in (
                     estimator.stream(sweeps), estimator.stream(sweeps, 5),
                     estimator.stream(sweeps, 5, require_confirmation=True),
@@ -120,15 +120,15 @@ def main(words: Sequence[str] | None = None) -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(prog="history", description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--scenes", type=int, default=20, help="of each preset")
-    given = parser.parse_args(words)
+    arguments = parser.parse_args(words)
     with tempfile.TemporaryDirectory() as folder:
-        rows = [row for name in PRESETS for row in rows_of(name, given.scenes, Path(folder))]
+        rows = [row for name in PRESETS for row in rows_of(name, arguments.scenes, Path(folder))]
     few = f"precision in a wedge of {FEW} returns"
     header = ("preset", "method", "precision", "recall", "F1", "falsely opened by far_wall, m²", few)
     tables = [table(header, rows)]
     if data := os.environ.get("VIEWSHED_REAL_DATA"):
         tables.append(table(("real drive", *(f"area, {method}" for method in METHODS[1:])), list(kept_of(Path(data)))))
-    print(page("Earlier sweeps", facts(seed=str(SEED), scenes=f"{given.scenes} of each preset"), *tables))
+    print(page("Earlier sweeps", facts(seed=str(SEED), scenes=f"{arguments.scenes} of each preset"), *tables))
 
 
 if __name__ == "__main__":

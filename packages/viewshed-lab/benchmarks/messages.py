@@ -52,18 +52,18 @@ START_NS = 1_760_000_000_000_000_000
 STEP_NS = 100_000_000
 LISTENS_NS = START_NS - 1_000_000_000
 METHODS = {"shadow_map": 1, "mc_dropout": 3}
-"""Estimators; the number k beside each: it is given every k-th sweep."""
+"""Estimators, each with a number k: it gets every k-th sweep."""
 
 WORLDS_SEEN = ("street", "junction", "highway", "parking", "residential")
 SENSORS = ("vlp16", "hdl32e", "hdl64e", "os1_128")
-"""Simulated sweeps, which nothing of the code was chosen on."""
+"""Sensors of the simulated sweeps, which had no part in the design of the code."""
 
 REGION_BYTES = 300
 SHAPES = {"sectors": 56, "polygon": 66}
-"""Shapes of a perception region; the number of sectors or corners beside each that is tried first."""
+"""Shapes of a perception region, each with its initial number of sectors or corners."""
 
 ENOUGH = 0.8
-"""Share of the visible cells; where sectors keep as much, polygons are not tried."""
+"""Polygons are not tried if sectors keep at least this share of the visible cells."""
 
 HONEST_EACH = 100
 """Number of forged messages before each honest one."""
@@ -111,9 +111,9 @@ class Row:
         shown = [f"{value:,.{self.digits}f}" for value in (self.median, self.high, self.most)]
         if self.targets is None:
             return [self.name, str(self.count), *shown, "–", ""]
-        aim = " / ".join("–" if np.isinf(value) else f"{value:,g}" for value in self.targets)
+        target = " / ".join("–" if np.isinf(value) else f"{value:,g}" for value in self.targets)
         is_met = self.median <= self.targets[0] and self.high <= self.targets[1]
-        return [self.name, str(self.count), *shown, f"≤ {aim}", "met" if is_met else "**missed**"]
+        return [self.name, str(self.count), *shown, f"≤ {target}", "met" if is_met else "**missed**"]
 
 
 HEADER = ["what", "sweeps", "median", "95 %", "most", "target", ""]
@@ -129,21 +129,21 @@ def main() -> None:
         "--flood", action="store_true", help="the flood alone: no page, exits with 1 where one is taken"
     )
     parser.add_argument("--page", type=Path, default=PAGE, help="where the Markdown goes")
-    chosen = parser.parse_args()
+    arguments = parser.parse_args()
     key = SigningKey.generate("car1")
     rng = np.random.default_rng(SEED)
-    if chosen.flood:
+    if arguments.flood:
         view = load_estimator().estimate(next(simulated()))
-        content = flood(view, key, chosen.forged, rng)
+        content = flood(view, key, arguments.forged, rng)
         print(content)
         sys.exit(0 if "| of these accepted | 0 |" in content else 1)
-    sweeps = list(readable(chosen.index))
-    views = {method: estimates(method, sweeps[::each]) for method, each in METHODS.items()}
+    sweeps = list(readable(arguments.index))
+    views = {method: estimates(method, sweeps[::step]) for method, step in METHODS.items()}
     others = {"`shadow_map`, simulated": estimates("shadow_map", simulated())}
-    more = max(chosen.regions - len(views["shadow_map"]), 0)
+    more = max(arguments.regions - len(views["shadow_map"]), 0)
     regions_of = chain(views["shadow_map"], (estimates("shadow_map", [sweep])[0] for sweep in simulated(more)))
     signed = [sign_message(message_of(view, k, rng), key) for k, view in enumerate(views["shadow_map"])]
-    named = {f"`{method}`": found for method, found in views.items()} | others
+    named = {f"`{method}`": of_method for method, of_method in views.items()} | others
     content = page(
         "Messages between agents: bytes and times",
         facts(
@@ -151,19 +151,19 @@ def main() -> None:
             seed=str(SEED),
             sweeps=f"{len(sweeps)} real ones",
         ),
-        SIZES, table(HEADER, [row.cells() for name, found in named.items() for row in view_rows(name, found)]),
+        SIZES, table(HEADER, [row.cells() for name, of_name in named.items() for row in view_rows(name, of_name)]),
         WHOLE, table(HEADER, [row.cells() for row in message_rows(signed)]),
         REGIONS, regions(regions_of),
         TIMES, table(HEADER, [row.cells() for row in time_rows(views, signed, key)]),
         REFUSALS, refusals(signed[0], key),
-        flood(views["shadow_map"][0], key, chosen.forged, rng),
+        flood(views["shadow_map"][0], key, arguments.forged, rng),
     )  # fmt: skip
-    write_page(chosen.page, content)
+    write_page(arguments.page, content)
     print(content)
 
 
 def readable(index: Path) -> Iterator[Sweep]:
-    """Yield the sweeps of an index that can be read."""
+    """Yield the readable sweeps of an index."""
     for entry in read_index(index):
         try:
             yield read_indexed(entry)
@@ -184,13 +184,13 @@ def simulated(count: int = len(WORLDS_SEEN) * len(SENSORS)) -> Iterator[Sweep]:
 
 
 def estimates(method: str, sweeps: Iterable[Sweep]) -> list[FovEstimate]:
-    """Return what an estimator sees in each sweep."""
+    """Return the estimates of a method for each sweep."""
     estimator = load_estimator(method)
     return [estimator.estimate(sweep) for sweep in sweeps]
 
 
 def message_of(view: FovEstimate, number: int, rng: np.random.Generator) -> ViewMessage:
-    """Return a message with that view, and with detections about a car that drives through a town."""
+    """Return a message with a view, and with detections around a car in a town."""
     boxes = np.column_stack([
         rng.normal(0, 20, (DETECTIONS, 2)), np.zeros(DETECTIONS), rng.uniform(0.5, 5.0, (DETECTIONS, 3)),
         rng.uniform(-3, 3, DETECTIONS),
@@ -205,7 +205,7 @@ def message_of(view: FovEstimate, number: int, rng: np.random.Generator) -> View
 
 
 def view_rows(name: str, views: Sequence[FovEstimate]) -> list[Row]:
-    """Return the bytes of views by our code, and deflated."""
+    """Return rows of the bytes of views, by our code and by zlib."""
     code = [len(encode_fov(view)) for view in views]
     return [Row(name, code, (4000, 7000)), Row(f"{name}, planes by zlib", [deflated(view) for view in views], None)]
 
@@ -219,10 +219,10 @@ def deflated(view: FovEstimate) -> int:
 
 
 def message_rows(signed: Sequence[bytes]) -> list[Row]:
-    """Return the bytes of each field, of envelope and signature, and of the whole message."""
+    """Return rows of the bytes of each field, of envelope and signature, and of the whole message."""
     payloads = [open_envelope(data).payload for data in signed]
     sizes = [field_sizes(payload) for payload in payloads]
-    rows = [Row(name, [each[name] for each in sizes], None) for name in sizes[0]]
+    rows = [Row(name, [size[name] for size in sizes], None) for name in sizes[0]]
     envelopes = [len(data) - len(payload) for data, payload in zip(signed, payloads, strict=True)]
     rows.append(Row("envelope with key id and signature", envelopes, None))
     return [*rows, Row("**message**", [len(data) for data in signed], (7000, 11_000))]
@@ -253,13 +253,13 @@ def regions(views: Iterable[FovEstimate]) -> str:
 
 
 def region_of(view: FovEstimate, shape: str) -> dict[str, Any]:
-    """Return the regions of a view in a shape, as many sectors or corners as fit into ``REGION_BYTES``."""
+    """Return the regions of a view in a shape, with as many sectors or corners as fit into ``REGION_BYTES``."""
     count = SHAPES[shape]
     while True:
-        made = to_cpm(view, count, shape)
-        sent = made["perceptionRegionContainer"]
+        region = to_cpm(view, count, shape)
+        sent = region["perceptionRegionContainer"]
         if not sent or len(encode(CONTAINERS[4][1], sent, "regions")) <= REGION_BYTES:
-            return made
+            return region
         count -= 4
 
 
@@ -276,13 +276,12 @@ def elapsed_us(job: Callable[[], object]) -> float:
 
 
 def time_rows(views: dict[str, list[FovEstimate]], signed: Sequence[bytes], key: SigningKey) -> list[Row]:
-    """Return times to encode and decode views, to verify, and to decode and verify whole messages."""
+    """Return rows of times to encode and decode views, and to verify and decode messages."""
     rows = []
-    for method, found in views.items():
-        rows.append(
-            Row(f"encode a view of `{method}`", [least_ms(partial(encode_fov, view), 3) for view in found], None, 3)
-        )
-        rows.append(Row("decode it", [decode_ms(view) for view in found], None, 3))
+    for method, of_method in views.items():
+        encode_ms = [least_ms(partial(encode_fov, view), 3) for view in of_method]
+        rows.append(Row(f"encode a view of `{method}`", encode_ms, None, 3))
+        rows.append(Row("decode it", [decode_ms(view) for view in of_method], None, 3))
     public = key.verifying()
     payloads = [open_envelope(data).payload for data in signed]
 
@@ -292,7 +291,7 @@ def time_rows(views: dict[str, list[FovEstimate]], signed: Sequence[bytes], key:
 
     verify = [least_ms(partial(is_signed_by, data, public)) for data in signed]
     decode = [least_ms(partial(decode_message, payload)) for payload in payloads]
-    both = [least_ms(partial(verify_and_decode, *each)) for each in zip(signed, payloads, strict=True)]
+    both = [least_ms(partial(verify_and_decode, *pair)) for pair in zip(signed, payloads, strict=True)]
     return [
         *rows,
         Row("verify a message", verify, None, 3),
@@ -302,12 +301,12 @@ def time_rows(views: dict[str, list[FovEstimate]], signed: Sequence[bytes], key:
 
 
 def decode_ms(view: FovEstimate) -> float:
-    """Return the time to decode a view."""
+    """Return the time to decode a view in milliseconds."""
     return least_ms(partial(decode_fov, encode_fov(view), view.grid, view.threshold, has_std(view)))
 
 
 def bad_messages(good: bytes, key: SigningKey) -> dict[str, tuple[bytes, int, Reason]]:
-    """Return messages that are refused, by name: bytes, seconds that the receiver's clock is off, and the reason."""
+    """Return bad messages by name: bytes, clock error of the receiver in seconds, and expected reason of refusal."""
     stranger, payload = SigningKey.generate("car1"), open_envelope(good).payload
     forged = bytearray(good)
     forged[-1] ^= 1
@@ -327,14 +326,14 @@ def refusals(good: bytes, key: SigningKey) -> str:
     """Return the table of times to refuse."""
     rows = []
     for name, (data, off_s, reason) in bad_messages(good, key).items():
-        taken = []
+        times_us = []
         for _ in range(300):
             here = Receiver(KeyRing((key.verifying(),)), start_ns=LISTENS_NS)
             now_ns = START_NS + 1_000_000_000 * off_s
-            taken.append(elapsed_us(partial(here.receive, data, now_ns)))
+            times_us.append(elapsed_us(partial(here.receive, data, now_ns)))
             if set(here.refused) != {reason}:
                 raise RuntimeError(f"{name} was refused as {here.refused}, not as {reason}")
-        median, high = np.percentile(taken, [50, 99])
+        median, high = np.percentile(times_us, [50, 99])
         limit = 500 if reason in (Reason.FORGED, Reason.BAD_CONTENT) else 100
         verdict = "met" if high <= limit else "met by the median alone" if median <= limit else "**missed**"
         rows.append([name, reason.value, f"{median:.1f}", f"{high:.1f}", f"≤ {limit}", verdict])
@@ -342,7 +341,7 @@ def refusals(good: bytes, key: SigningKey) -> str:
 
 
 def flood(view: FovEstimate, key: SigningKey, forged: int, rng: np.random.Generator) -> str:
-    """Return what became of forged messages among honest ones, and what those cost the honest."""
+    """Return the section on a flood of forged messages: accepted ones, and the delay of honest messages."""
     stranger, limits = SigningKey.generate("car1"), ReceiverLimits(max_age_s=0.15)
     here, quiet = (Receiver(KeyRing((key.verifying(),)), limits=limits, start_ns=LISTENS_NS) for _ in range(2))
     message, previous, accepted = message_of(view, 0, rng), b"", 0
@@ -372,7 +371,7 @@ def flood(view: FovEstimate, key: SigningKey, forged: int, rng: np.random.Genera
         ],
         [
             "a forged one, median and 99 %",
-            " and ".join(f"{each:.1f} µs" for each in np.percentile(forged_us, [50, 99])),
+            " and ".join(f"{value:.1f} µs" for value in np.percentile(forged_us, [50, 99])),
             "",
         ],
     ]
@@ -381,7 +380,7 @@ def flood(view: FovEstimate, key: SigningKey, forged: int, rng: np.random.Genera
 
 
 def forgeries(honest: bytes, previous: bytes, stranger: SigningKey, rng: np.random.Generator) -> list[bytes]:
-    """Return what a forger sends instead of a message that it heard: most looks as good as the honest one."""
+    """Return the forgeries of an honest message that a forger sends; most are well-formed."""
     payload = open_envelope(honest).payload
     signature, content = bytearray(honest), bytearray(honest)
     signature[-1 - int(rng.integers(64))] ^= 1 << int(rng.integers(8))

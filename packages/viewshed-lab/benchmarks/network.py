@@ -33,10 +33,10 @@ from viewshed_lab.studies.samples import sample_of
 PAGE = Path(__file__).resolve().parents[3] / "docs" / "results" / "network_speed.md"
 SEED, PASSES = 11, 20
 FEWER, MANY, SWEEPS = (5, 10), 100, 40
-"""Fewer passes that are tried as well, those that all are compared with, and on how many simulated sweeps."""
+"""Smaller numbers of passes to try, number of passes of the reference, and number of simulated sweeps."""
 
 BALANCED, INDEPENDENT = "balanced", "independent"
-"""How the masks of several passes are drawn: by :meth:`UNetShape.masks`, or each by itself as the paper has it."""
+"""Sampling of the masks of several passes: by :meth:`UNetShape.masks`, or independently as in the paper."""
 
 ROUNDS, BUDGET_S = 3, 6.0
 SIZES = ("35k", "120k")
@@ -46,7 +46,7 @@ TARGETS_HZ = {
     ("MLE to mask", "35k"): 200,
     **{(f"MCD T = {passes} to mask: {ENGINE} {INT8}", "35k"): 22 for passes in (10, PASSES)},
 }
-"""By row, with its engine or without, and size."""
+"""Target rates by row (with or without its engine) and size."""
 HEAD = ["what", "points", "median, ms (10–90 %)", "Hz", "of one torch pass", "GFLOP/s", "target", ""]
 TEXT = """\
 The paper's network (width 8, depth 4: {parameters:.2f} M parameters, {gflop:.2f} GFLOP a pass) on 256 × 256 cells.
@@ -83,32 +83,32 @@ def main() -> None:
     )
     parser.add_argument("--only", default="", help="measure only the engines with this word, and write no page")
     parser.add_argument("--threads", type=int, default=os.cpu_count() or 1)
-    chosen = parser.parse_args()
-    names = [name for name in (ENGINE, TORCH, NONE) if chosen.only in name]
+    arguments = parser.parse_args()
+    names = [name for name in (ENGINE, TORCH, NONE) if arguments.only in name]
     with tempfile.TemporaryDirectory() as folder:
-        path = chosen.weights or Path(folder) / "drawn.onnx"
-        if chosen.weights is None:
+        path = arguments.weights or Path(folder) / "drawn.onnx"
+        if arguments.weights is None:
             alone(draw_weights, path)
         tasks = [(name, "") for name in names]
-        tasks += [(ENGINE, each) for each in chosen.beside.split(",") if each and ENGINE in names]
-        timings = measured(tasks, path, chosen.threads)
+        tasks += [(ENGINE, other) for other in arguments.beside.split(",") if other and ENGINE in names]
+        timings = measured(tasks, path, arguments.threads)
         card = OnnxRunner(path, 1).card
     rows = rows_of(timings, card.shape.flops(card.grid.cells))
-    if chosen.only:
+    if arguments.only:
         return
     fewer: list[str] = []
-    if chosen.weights is not None and card.shape.dropout:  # drawn weights have no F1 to lose
-        runners = {"float32": OnnxRunner(path, chosen.threads)}
-        runners |= {each: load_runner(each, chosen.threads) for each in chosen.beside.split(",") if each}
+    if arguments.weights is not None and card.shape.dropout:  # drawn weights have no F1 to lose
+        runners = {"float32": OnnxRunner(path, arguments.threads)}
+        runners |= {other: load_runner(other, arguments.threads) for other in arguments.beside.split(",") if other}
         fewer = fewer_passes(runners)
     libraries = ("numpy", "onnxruntime", "torch")
     about = facts(
         libraries=", ".join(f"{name} {metadata.version(name)}" for name in libraries),
         load=f"{os.getloadavg()[0]:.1f} in the minute before, on all cores (ours included)",
     )
-    words = text(card, chosen.threads, alone(peak_flops, chosen.threads), chosen.weights)
-    write_page(chosen.out, page("Speed of the network", about, words, table(HEAD, rows), *fewer))
-    print(f"written to {chosen.out}")
+    words = text(card, arguments.threads, alone(peak_flops, arguments.threads), arguments.weights)
+    write_page(arguments.out, page("Speed of the network", about, words, table(HEAD, rows), *fewer))
+    print(f"written to {arguments.out}")
 
 
 def draw_weights(path: Path) -> None:
@@ -125,36 +125,36 @@ def draw_weights(path: Path) -> None:
 def measured(tasks: list[tuple[str, str]], path: Path, threads: int) -> dict[tuple[str, str], Timing]:
     """Return the timing of each row and size of cloud; a task is an engine and, if any, another network."""
     rng = np.random.default_rng(SEED)
-    taken: dict[tuple[str, str], list[float]] = defaultdict(list)
+    times_ms: dict[tuple[str, str], list[float]] = defaultdict(list)
     for turn in range(ROUNDS):
         for pick in rng.permutation(len(tasks)):
             for key, times in alone(measure, tasks[pick], path, threads, turn).items():
-                taken[key] += times
+                times_ms[key] += times
     order = {name: k for k, name in enumerate((f"{ENGINE} {INT8}", ENGINE, TORCH, NONE))}
-    keys = sorted(taken, key=lambda key: (SIZES.index(key[1]), order.get(key[0].partition(": ")[2], len(order))))
-    return {key: summary(taken[key]) for key in keys}
+    keys = sorted(times_ms, key=lambda key: (SIZES.index(key[1]), order.get(key[0].partition(": ")[2], len(order))))
+    return {key: summary(times_ms[key]) for key in keys}
 
 
 def measure(task: tuple[str, str], path: Path, threads: int, turn: int) -> dict[tuple[str, str], list[float]]:
-    """Return the milliseconds of the rows of one task, in this process; a second network's threads would slow it."""
+    """Return the milliseconds of the rows of one task; run it in its own process, as idle threads slow others."""
     name, other = task
     runner: Runner | None = None
     if other:
         runner = load_runner(other, threads)
     elif name != NONE:
         runner = runner_of(name, path, threads)
-    found: dict[tuple[str, str], list[float]] = {}
+    by_row: dict[tuple[str, str], list[float]] = {}
     for size in SIZES:
         sweep = clouds.synthetic(size, np.random.default_rng(SEED))
         card = OnnxRunner(path, 1).card if runner is None else runner.card
         times = times_of(jobs_of(name, runner, sweep, card), np.random.default_rng([SEED, turn]), BUDGET_S)
         label = f"{name} {INT8}" if card.precision == INT8 else name
-        found |= {(f"{row}: {label}", size): each for row, each in times.items()}
-    return found
+        by_row |= {(f"{row}: {label}", size): times_ms for row, times_ms in times.items()}
+    return by_row
 
 
 def runner_of(name: str, path: Path, threads: int) -> Runner:
-    """Return what runs the network by the name of its row."""
+    """Return the runner of the network, by the name of its row."""
     if name == TORCH:
         import torch
 
@@ -168,7 +168,7 @@ def runner_of(name: str, path: Path, threads: int) -> Runner:
 
 
 def jobs_of(name: str, runner: Runner | None, sweep: Sweep, card: NetworkCard) -> dict[str, Callable[[], object]]:
-    """Return what is measured of an engine on a sweep, by name."""
+    """Return the measured jobs of an engine on a sweep, by name."""
     level = sweep.replace(attitude=np.array([1.0, 0.0, 0.0, 0.0]), sensor_height_m=clouds.SENSOR_HEIGHT_M)
     if runner is None:
         shadows = ShadowMap(card.grid)
@@ -192,21 +192,21 @@ def mask_job(runner: Runner, sweep: Sweep, passes: int) -> Callable[[], object]:
     masks = None if passes == 1 else card.shape.masks(passes, np.random.default_rng(SEED))
 
     def job() -> object:
-        found = runner.run(card.input_of(sweep)[None], masks)
-        prob, std = (found[0], None) if passes == 1 else mean_and_deviation(found)
+        probs = runner.run(card.input_of(sweep)[None], masks)
+        prob, std = (probs[0], None) if passes == 1 else mean_and_deviation(probs)
         return prob >= np.float32(card.threshold), std
 
     return job
 
 
 def fewer_passes(runners: Mapping[str, Runner], sweeps: int = SWEEPS) -> list[str]:
-    """Return heading, words and table of what fewer passes cost; the first network, in float32, is the reference."""
-    first, whole = next(iter(runners.items()))
-    card = whole.card
+    """Return the section on the cost of fewer passes; the first network, in float32, is the reference."""
+    first, float32_runner = next(iter(runners.items()))
+    card = float32_runner.card
     preset, exact = "ugv" if card.grid.half_extent_m < ROOM_M else "nuscenes", card.truth == "probe"
-    drawn = [(BALANCED, passes) for passes in (1, *FEWER, PASSES)] + [(INDEPENDENT, PASSES)]
+    variants = [(BALANCED, passes) for passes in (1, *FEWER, PASSES)] + [(INDEPENDENT, PASSES)]
     reference = first, BALANCED, MANY
-    keys = [reference, *((name, *how) for name in runners for how in drawn)]
+    keys = [reference, *((name, *variant) for name in runners for variant in variants)]
     scores = {key: Scores() for key in keys}
     means: dict[tuple[str, str, int], list[F32]] = {key: [] for key in keys}
     deviations: dict[tuple[str, str, int], list[F32]] = {key: [] for key in keys}
@@ -223,7 +223,7 @@ def fewer_passes(runners: Mapping[str, Runner], sweeps: int = SWEEPS) -> list[st
             scores[key].add(mean[truth.known], truth.visible[truth.known])
             means[key].append(mean[truth.known])
             deviations[key].append(std[truth.known])
-    mean_of, std_of = ({key: np.concatenate(each) for key, each in maps.items()} for maps in (means, deviations))
+    mean_of, std_of = ({key: np.concatenate(parts) for key, parts in maps.items()} for maps in (means, deviations))
     f1 = {key: score.f1(card.threshold) for key, score in scores.items()}
     off = {key: float(np.sqrt(np.mean(np.square(mean_of[key] - mean_of[reference])))) for key in keys}
     rows = []
@@ -274,7 +274,7 @@ def rows_of(timings: Mapping[tuple[str, str], Timing], flops: int) -> list[list[
 
 
 def text(card: NetworkCard, threads: int, peaks: tuple[float, float], weights: Path | None) -> str:
-    """Return the page's words."""
+    """Return the text of the page."""
     shape, flops = card.shape, card.shape.flops(card.grid.cells)
     own = own_share(shape, card.grid.cells)
     one, half = (1e3 * flops / peak for peak in peaks)
@@ -295,7 +295,7 @@ def own_share(shape: UNetShape, cells: int) -> float:
 
 
 def peak_flops(threads: int) -> tuple[float, float]:
-    """Return the floating point operations a second of a large product of matrices, in float32 and in bfloat16."""
+    """Return the floating point operations per second of a large matrix product, in float32 and in bfloat16."""
     import torch
 
     torch.set_num_threads(threads)

@@ -1,4 +1,4 @@
-"""What a user waits for: whole processes, cold, on the wall clock."""
+"""Wall-clock time of whole processes from a cold start, as a user experiences it."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from benchmarks.timing import Job, Timing, interleaved
 T = TypeVar("T")
 
 HOMES, LATER = 5, 3
-"""Empty homes in which a first process is timed, and how many later ones in each."""
+"""Number of empty homes in which a first process is timed, and of later processes in each."""
 
 VIEWSHED = str(Path(sys.executable).with_name("viewshed"))
 IMPORT = "import viewshed"
@@ -30,23 +30,23 @@ LIBRARIES = "import numpy, shapely, PIL.ImageFont, typer"
 
 
 def alone(work: Callable[..., T], *args: object) -> T:
-    """Return what ``work`` returns in a process that ends with it."""
+    """Run ``work`` in a new process and return its result."""
     with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
         return pool.submit(work, *args).result()
 
 
 @dataclass(frozen=True, slots=True)
 class Start:
-    """What a process took."""
+    """Resources used by a process."""
 
-    seconds: float  # on the wall clock
-    processor_s: float  # of all cores; on a busy machine the steadier figure
-    peak_mb: float  # most memory that it held, in 10⁶ bytes
+    seconds: float  # wall clock
+    processor_s: float  # CPU time of all cores; steadier on a busy machine
+    peak_mb: float  # peak memory in 10⁶ bytes
 
 
 @dataclass(frozen=True, slots=True)
 class StartTargets:
-    """Seconds that the first process in an empty home and each later one may take."""
+    """Maximum seconds of the first process in an empty home, and of later ones."""
 
     first_s: float
     later_s: float
@@ -54,10 +54,10 @@ class StartTargets:
 
 IN_AN_EMPTY_HOME = "in an empty home"
 START_TARGETS = {"npz": StartTargets(1.2, 1.0), "png,geojson,npz": StartTargets(2.0, 1.0)}
-"""By what is written of the sweep."""
+"""By the value of ``--results``."""
 
 PEAK_MB = 200.0
-"""Memory that each of them may hold, in 10⁶ bytes."""
+"""Maximum memory of each of them in 10⁶ bytes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +69,7 @@ class Starts:
 
 
 def imports(rng: np.random.Generator) -> dict[str, Timing]:
-    """Return the time of a process that imports viewshed, and all it names, beside numpy alone and Python alone."""
+    """Return the times of processes that import viewshed, all its public names, numpy alone, and nothing."""
     code = {
         IMPORT: "import viewshed",
         IMPORT_ALL: "import viewshed; [getattr(viewshed, name) for name in viewshed.__all__]",
@@ -80,7 +80,7 @@ def imports(rng: np.random.Generator) -> dict[str, Timing]:
 
 
 def estimate(sweep: Path, out: Path, rng: np.random.Generator) -> dict[str, Timing]:
-    """Return the time of ``viewshed estimate`` of one sweep with its files, beside importing its libraries."""
+    """Return the times of ``viewshed estimate`` of one sweep with its files, and of importing its libraries."""
     jobs = {
         "viewshed estimate": _job(VIEWSHED, "estimate", str(sweep), "--out", str(out)),
         LIBRARIES: _job(sys.executable, "-c", LIBRARIES),
@@ -89,9 +89,9 @@ def estimate(sweep: Path, out: Path, rng: np.random.Generator) -> dict[str, Timi
 
 
 def estimates_in_empty_homes(sweep: Path, folder: Path, results: str) -> Starts:
-    """Return what ``viewshed estimate`` of one sweep takes with its ``results``, first and later in empty homes.
+    """Return first and later starts of ``viewshed estimate`` of one sweep in empty homes.
 
-    Nothing that another home or the environment may have cached is found: programs keep their caches in the home.
+    Programs keep their caches in the home, so an empty home hides all caches.
     """
     first, later = list[Start](), list[Start]()
     for number in range(HOMES):
@@ -112,11 +112,11 @@ _, status, usage = os.wait4(child, 0)
 seconds = time.perf_counter() - begin
 print(json.dumps([os.waitstatus_to_exitcode(status), seconds, usage.ru_utime + usage.ru_stime, usage.ru_maxrss]))
 """
-"""Starts a command from a small process: what a child holds at most counts from the memory of the one that forks it."""
+"""Starts a command from a small process, as the peak memory of a child includes that of the process that forks it."""
 
 
 def _started(command: list[str], home: Path) -> Start:
-    """Run a command to its end with ``home`` as home and cache, and return what it took."""
+    """Run a command with ``home`` as home and cache, and return its used resources."""
     kept = {name: value for name, value in os.environ.items() if name not in _PLACES}
     home_of_all = {"HOME": str(home), "NUMBA_CACHE_DIR": str(home / "numba")}
     watch = (sys.executable, "-I", "-S", "-c", _WATCH, *command)
@@ -128,11 +128,11 @@ def _started(command: list[str], home: Path) -> Start:
 
 
 _PLACES = {"XDG_CACHE_HOME", "XDG_CONFIG_HOME", "MPLCONFIGDIR", "NUMBA_CACHE_DIR", "PYTHONPATH"}
-"""Variables that name other places of caches and sources."""
+"""Environment variables with other places of caches and sources."""
 
 
 def first_and_second_demo(folder: Path) -> tuple[float, float]:
-    """Return the seconds of the first ``viewshed demo`` ever (nothing is compiled yet) and of the second."""
+    """Return the seconds of the first ``viewshed demo`` (nothing is compiled yet) and of the second."""
     job = _job(VIEWSHED, "demo", "--out", str(folder / "demo"), NUMBA_CACHE_DIR=str(folder / "compiled"))
     return _seconds(job), _seconds(job)
 

@@ -15,17 +15,17 @@ from viewshed_lab._results import write_page
 class Row:
     """One measured step."""
 
-    step: str  # what was done
-    size: str  # to what
+    step: str  # description of the step
+    size: str  # size of its input
     median_ms: float  # our median
     low_ms: float  # 10th percentile
     high_ms: float  # 90th percentile
-    repeats: int  # how often it ran
-    floor_ms: float | None  # bytes that must be moved over the bandwidth measured in the same run, or None
-    target: str  # in words, empty where there is none
-    met: bool | None  # whether the target is met, None where there is none
+    repeats: int  # number of runs
+    floor_ms: float | None  # bytes that must be moved, divided by the bandwidth measured in the same run, or None
+    target: str  # as text, empty without a target
+    met: bool | None  # whether the target is met, None without a target
     others_ms: dict[str, float]  # medians of the alternatives by name
-    peak_mb: float | None = None  # most memory that a process held, in 10⁶ bytes, or None where it is not measured
+    peak_mb: float | None = None  # peak memory of a process in 10⁶ bytes, or None if not measured
 
     def cells(self) -> list[str]:
         """Return the row as text, cell by cell."""
@@ -57,7 +57,7 @@ one in a home that is empty, where nothing is cached; later ones follow in the s
 
 
 def write(rows: Sequence[Row], facts: dict[str, str], page: Path) -> None:
-    """Write the page (Markdown) and beside it the same as JSON."""
+    """Write the page (Markdown), and the same data as JSON beside it."""
     body = report.table(HEAD, [row.cells() for row in rows])
     write_page(page, report.page("Speed", facts, INTRODUCTION, _verdict(rows), body))
     content = {"facts": facts, "rows": [asdict(row) for row in rows]}

@@ -39,8 +39,8 @@ ROOT = Path(__file__).resolve().parents[3]
 PAGE = ROOT / "docs" / "results" / "robot.md"
 SEED = 20_261_123
 REPLAY_S, HZ = 30.0, 10.0
-MOST_DROPPED = 0.01
-"""Of the clouds at a rate that a node keeps up with."""
+MAX_DROPPED = 0.01
+"""Maximum share of dropped clouds at a rate that a node keeps up with."""
 
 STEP_NS = 100_000_000
 
@@ -53,7 +53,7 @@ def main() -> None:
     parser.add_argument("--page", type=Path, default=PAGE, help="where the Markdown goes")
     parser.add_argument("--seconds", type=float, default=10.0, help="of each measurement of the node")
     parser.add_argument("--sweeps", type=int, default=200, help="of each profile")
-    chosen = parser.parse_args()
+    arguments = parser.parse_args()
     prepare_process()
     load_before = os.getloadavg()[0]
     with tempfile.TemporaryDirectory() as name:
@@ -61,10 +61,10 @@ def main() -> None:
         sweeps = _sweeps(np.random.default_rng(SEED))
         replayed = _replay(folder)
         _write(sweeps, folder)
-        node = _node(folder, chosen.seconds)
-    costmap = _costmap(chosen.page.with_name("costmap.png"))
-    topics = [[f"`{each['topic']}`", f"{each['processor_ms']:.2f}"] for each in node if each["case"] == "topic"]
-    profiles = [_profile_cost(name, profile, sweeps, chosen.sweeps) for name, profile in PROFILES.items()]
+        node = _node(folder, arguments.seconds)
+    costmap = _costmap(arguments.page.with_name("costmap.png"))
+    topics = [[f"`{run['topic']}`", f"{run['processor_ms']:.2f}"] for run in node if run["case"] == "topic"]
+    profiles = [_profile_cost(name, profile, sweeps, arguments.sweeps) for name, profile in PROFILES.items()]
     source = "nuScenes and KITTI" if clouds.real() else "simulated, HDL-32E and HDL-64E"
     content = page(
         "On the robot",
@@ -82,7 +82,7 @@ def main() -> None:
         "## A costmap before and after", *_costmap_parts(costmap),
         "## Profiles", _PROFILES_TEXT, table(_PROFILES_HEADER, profiles),
     )  # fmt: skip
-    chosen.page.write_text(content, encoding="utf-8")
+    arguments.page.write_text(content, encoding="utf-8")
     print(content)
 
 
@@ -115,13 +115,13 @@ def _intro(node: Sequence[Found]) -> str:
 
 
 def _sweeps(rng: np.random.Generator) -> dict[str, Sweep]:
-    found = clouds.real() or {size: clouds.synthetic(size, rng) for size in clouds.SENSORS}
+    sweeps = clouds.real() or {size: clouds.synthetic(size, rng) for size in clouds.SENSORS}
     vlp16 = cast(lidar_model("VLP-16"), junction(), 1.0, rng=rng)
-    return {**found, "VLP-16": vlp16.replace(azimuth=None, attitude=None, sensor_height_m=None)}
+    return {**sweeps, "VLP-16": vlp16.replace(azimuth=None, attitude=None, sensor_height_m=None)}
 
 
 def _write(sweeps: Mapping[str, Sweep], folder: Path) -> None:
-    """Write what the node's side reads: sweeps, and the ranges of a laser in a room of 16 by 10 meters."""
+    """Write the inputs of the node: sweeps, and the ranges of a laser in a room of 16 by 10 meters."""
     for name, sweep in sweeps.items():
         columns: dict[str, Any] = {} if sweep.ring is None else {"ring": sweep.ring}
         intensity = np.zeros(len(sweep), np.float32) if sweep.intensity is None else sweep.intensity
@@ -136,7 +136,7 @@ def _write(sweeps: Mapping[str, Sweep], folder: Path) -> None:
 
 
 def _node(folder: Path, seconds: float) -> list[Found]:
-    """Return what the node reaches; nothing where there is no environment for it."""
+    """Measure the node and return its runs; an empty list without an environment for it."""
     command = [str(ROOT / "ros" / "python.sh"), str(ROOT / "ros" / "measure" / "rates.py"), str(folder)]
     done = subprocess.run([*command, "--seconds", str(seconds)], check=False, capture_output=True, text=True)
     if done.returncode == 3:
@@ -147,7 +147,7 @@ def _node(folder: Path, seconds: float) -> list[Found]:
 
 
 def _replay(folder: Path) -> Found:
-    """Return how fast a simulated drive of 30 s at 10 Hz is replayed to MCAP with the monitor, by the command line."""
+    """Return speed and CPU time of a command line replay of a simulated drive (30 s, 10 Hz, monitor) to MCAP."""
     source, to = folder / "drive.mcap", [folder / "seen.mcap", folder / "again.mcap"]
     drive = ["sim", "--preset", "nuscenes", "--agents", "1", "--seconds", str(REPLAY_S), "--hz", str(HZ)]
     subprocess.run([VIEWSHED, "record", *drive, "--to", str(source)], check=True, capture_output=True)
@@ -168,16 +168,16 @@ def _replay(folder: Path) -> Found:
 
 
 def _profile_cost(name: str, profile: Profile, sweeps: Mapping[str, Sweep], count: int) -> list[str]:
-    """Return a row: what a profile costs on both sizes, and the memory of a process with it."""
+    """Return a row: times of a profile for both sizes, and the memory of a process with it."""
     cells = [f"`{name}`"]
     for size in ("35k", "120k"):
-        found = alone(profile_cost, profile, sweeps[size], count)  # so that the memory is its own
-        cells += [f"{found['median_ms']:.1f}", f"{found['processor_ms']:.1f}"]
-    return [*cells, f"{found['memory_mb']:.0f}"]
+        cost = alone(profile_cost, profile, sweeps[size], count)  # a new process, to measure its own memory
+        cells += [f"{cost['median_ms']:.1f}", f"{cost['processor_ms']:.1f}"]
+    return [*cells, f"{cost['memory_mb']:.0f}"]
 
 
 def profile_cost(profile: Profile, sweep: Sweep, count: int) -> Found:
-    """Return latency, processor time and memory of a pipeline with a profile's settings over ``count`` sweeps."""
+    """Return latency, CPU time and memory of a pipeline with a profile's settings over ``count`` sweeps."""
     prepare_process()
     estimator = load_estimator(profile.method, grid=profile.grid)
     monitor = StreamMonitor() if profile.monitor else None
@@ -224,22 +224,22 @@ def _node_rows(node: Sequence[Found]) -> Iterator[list[str]]:
 
 
 def _share(found: Found) -> float:
-    """Return the share of the clouds that were dropped."""
+    """Return the share of dropped clouds."""
     return float(found["dropped"] / max(found["dropped"] + len(found["taken_ms"]), 1))
 
 
 def _kept_up(node: Sequence[Found], case: str, monitor: str) -> float:
-    """Return the highest rate of a case at which at most one in a hundred is dropped; 0 where there is none."""
-    runs = [each for each in node if (each["case"], each.get("monitor")) == (case, monitor)]
-    return max((float(each["hz"]) for each in runs if _share(each) <= MOST_DROPPED), default=0.0)
+    """Return the highest rate of a case with at most one percent of dropped clouds; 0 without any."""
+    runs = [run for run in node if (run["case"], run.get("monitor")) == (case, monitor)]
+    return max((float(run["hz"]) for run in runs if _share(run) <= MAX_DROPPED), default=0.0)
 
 
 def _histograms(node: Sequence[Found]) -> Iterator[str]:
-    """Yield a histogram of the latencies of each size, with monitor and one cloud under way, in lines of text."""
+    """Yield a text histogram of the latencies of each size, with monitor and one cloud in flight."""
     for found in node:
         if found.get("under_way") == 1 and found["monitor"] == "always" and found["case"] != "LaserScan":
             taken_ms = np.asarray(found["taken_ms"])
-            # Bins a tenth wide, from the shortest to the longest.
+            # Bins with edges in ratios of 1.1, from the minimum to the maximum.
             edges = taken_ms.min() * 1.1 ** np.arange(
                 np.ceil(np.log(taken_ms.max() / taken_ms.min()) / np.log(1.1)) + 2
             )
@@ -252,7 +252,7 @@ def _histograms(node: Sequence[Found]) -> Iterator[str]:
 
 
 def _costmap(picture: Path) -> Found | None:
-    """Return the cells of a costmap that are cleared with and without the view, and draw them."""
+    """Return the numbers of costmap cells that are cleared with and without the view; draw the picture."""
     command = [str(ROOT / "ros" / "python.sh"), str(ROOT / "ros" / "measure" / "costmap_picture.py"), str(picture)]
     done = subprocess.run(command, check=False, capture_output=True, text=True)
     if done.returncode == 3:
@@ -290,12 +290,12 @@ Green is rightly cleared, red wrongly, gray still marked, black a wall."""
 
 
 def _targets(node: Sequence[Found], replayed: Found) -> Iterator[list[str]]:
-    """Yield a row for each target: what, how much, what was reached, met or missed."""
+    """Yield one row per target: description, target, reached figure, met or missed."""
     by_case = {(found["case"], found.get("monitor"), found.get("under_way")): found for found in node}
     if node:
-        for monitor, most in (("always", {"35k": 100, "120k": 60}), ("never", {"35k": 200, "120k": 100})):
+        for monitor, targets_hz in (("always", {"35k": 100, "120k": 60}), ("never", {"35k": 200, "120k": 100})):
             words = "with monitor" if monitor == "always" else "without monitor"
-            for size, hz in most.items():
+            for size, hz in targets_hz.items():
                 reached = _kept_up(node, size, monitor)
                 yield _target(f"node, {size}, {words}", f"≥ {hz} Hz", f"{reached:.0f} Hz", reached >= hz)
         reached = _kept_up(node, "35k, unet", "never")
@@ -311,7 +311,7 @@ def _targets(node: Sequence[Found], replayed: Found) -> Iterator[list[str]]:
         share, memory = 100.0 * vlp16["cores"], vlp16["memory_mb"]
         yield _target("VLP-16 at 10 Hz: share of one core", "≤ 15 %", f"{share:.0f} %", share <= 15.0)
         yield _target("VLP-16 at 10 Hz: resident memory", "≤ 400 MB", f"{memory:.0f} MB", memory <= 400.0)
-        # Ten a second are put in; one that is under way when the time is up is not counted.
+        # The input rate is 10 Hz; a cloud in flight at the end is not counted.
         yield _target("ten agents: the slowest", "≥ 10 Hz", f"{agents['hz']:.1f} Hz", agents["hz"] >= 9.95)
         ratio = agents["hz_most"] / max(agents["hz"], 1e-9)
         yield _target("ten agents: fastest / slowest", "≤ 1.2", f"{ratio:.2f}", ratio <= 1.2)

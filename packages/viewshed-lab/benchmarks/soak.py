@@ -49,47 +49,47 @@ MALFORMED_SHARE = 0.01
 CLOCK_SHARE = 0.004
 BURST_SHARE = 0.002
 BURST = 6
-"""Sweeps at once."""
+"""Number of sweeps in a burst."""
 
 UNDER_WAY = 3
 LINES = 30
-"""Of the log, whatever the time."""
+"""Number of lines of the log, for any duration."""
 
 RESTARTS, LEAST_S = 20, 10.0
-"""How often everything begins anew, and the least seconds between two of these times."""
+"""Number of restarts, and minimum time between two of them."""
 
 WARM_SHARE, GROWTH = 0.2, 0.05
-"""Memory counts from this share of the time on, and may grow by this share from there."""
+"""Share of the time for warm-up, and maximum relative growth of memory after it."""
 
 CLOCKS = {
     "time repeats": (0, "a sweep must have another time"),
     "time goes back by 5 s": (-50 * STEP_NS, "time went back"),
     "time jumps by 60 s": (600 * STEP_NS, "time jumped"),
 }
-"""What a clock may do: its step in nanoseconds, and what the refusal or the note says."""
+"""Clock errors: step in nanoseconds, and text of the refusal or note."""
 
 
 @dataclass(slots=True)
 class Kind:
-    """What became of the sweeps of one kind."""
+    """Counts of the sweeps of one kind."""
 
-    sent: int = 0  # how many were put in
-    answered: int = 0  # with an estimate
-    refused: int = 0  # with a reason
-    dropped: int = 0  # a newer sweep took their place, or the pipeline ended
-    reasons: Counter[str] = field(default_factory=Counter)  # refusals and notes, and how many
+    sent: int = 0  # sweeps put in
+    answered: int = 0  # sweeps with an estimate
+    refused: int = 0  # sweeps refused with a reason
+    dropped: int = 0  # sweeps replaced by a newer one, or lost at a restart
+    reasons: Counter[str] = field(default_factory=Counter)  # number of each refusal and note
 
 
 @dataclass(slots=True)
 class Soaked:
-    """A soak."""
+    """Result of a soak test."""
 
-    seconds: float = 0.0  # how long it took
-    restarts: int = 0  # how often everything began anew
+    seconds: float = 0.0  # duration
+    restarts: int = 0  # number of restarts
     kinds: dict[str, Kind] = field(default_factory=dict)  # by kind of sweep
-    # a line each: seconds, sent, answered, dropped, refused, median and 99 % latency in ms, memory in MB
+    # lines: seconds, sent, answered, dropped, refused, median and 99 % latency in ms, memory in MB
     log: list[list[float]] = field(default_factory=list)
-    faults: list[str] = field(default_factory=list)  # what must not be; empty where the soak is passed
+    faults: list[str] = field(default_factory=list)  # failed checks; empty if the soak is passed
 
 
 def main() -> None:
@@ -144,22 +144,22 @@ _COLUMNS = """## How to read the log
 
 @dataclass(slots=True)
 class Script:
-    """What is sent, one sweep after the other: its kind and its time."""
+    """Random sequence of sweeps to send: kind and time of each."""
 
-    rng: np.random.Generator  # draws what is wrong
+    rng: np.random.Generator  # draws kinds of errors
     t_ns: int = 10**15  # of the last sweep
     _left_of_burst: int = 0
     _last: str = "no points"
 
     def next(self) -> tuple[str, int, bool]:
-        """Return the next sweep's kind and time in nanoseconds, and whether another comes at once."""
+        """Return the next sweep's kind and time in nanoseconds, and whether another follows at once."""
         drawn, kind = self.rng.random(), "good"
         if self._left_of_burst:
             self._left_of_burst -= 1
         elif drawn < MALFORMED_SHARE:
             kind = str(self.rng.choice(list(DAMAGES)))
         elif drawn < MALFORMED_SHARE + CLOCK_SHARE and self._last == "good":
-            # A time repeats that of a sweep which was taken: not after a malformed one, nor after a burst.
+            # A repeated time must repeat that of an accepted sweep: not after a malformed one or a burst.
             kind = str(self.rng.choice(list(CLOCKS)))
         elif drawn > 1.0 - BURST_SHARE:
             self._left_of_burst = BURST - 1
@@ -169,7 +169,7 @@ class Script:
 
 
 def soak_pipeline(seconds: float, rng: np.random.Generator) -> Soaked:
-    """Return what became of a pipeline that was worked for some time."""
+    """Run the soak of a pipeline for some seconds and return its result."""
     cloud, script, soaked = cloud_of(_sweep()), Script(rng), Soaked()
     soaked.kinds = {name: Kind() for name in ("good", *DAMAGES, *CLOCKS)}
     taken = [Latencies()]
@@ -184,13 +184,13 @@ def soak_pipeline(seconds: float, rng: np.random.Generator) -> Soaked:
         begun = [0]
         number, dropped, until_s = 0, 0, time.perf_counter() + period_s(seconds)
         while (now_s := time.perf_counter()) < min(until_s, begin_s + seconds):
-            # 1. The next sweep; its bytes are made when its turn comes.
+            # 1. Put in the next sweep; it is decoded when its turn comes.
             kind, t_ns, is_more = script.next()
             pipeline.put(partial(_decoded, begun, number, cloud, kind, t_ns))
             sent[number], number = kind, number + 1
             soaked.kinds[kind].sent += 1
-            # 2. As many under way as are wanted, and none that still waits for its turn: the next would take its place.
-            # A burst waits for nobody.
+            # 2. Wait while UNDER_WAY sweeps are in flight, or one waits for its turn, which the next would replace.
+            # A burst does not wait.
             dropped += _settle(soaked, sent, answers)
             while not is_more and (len(sent) >= UNDER_WAY or begun[0] < number - 1):
                 time.sleep(0.0002)
@@ -198,7 +198,7 @@ def soak_pipeline(seconds: float, rng: np.random.Generator) -> Soaked:
             if now_s - begin_s >= (len(soaked.log) + 1) * seconds / LINES:
                 soaked.log.append(log_line(soaked, now_s - begin_s, taken[0], memory_mb(os.getpid())))
                 taken[0] = Latencies()
-        # 3. Begin anew. What waits is still answered; what has no answer was dropped, as many as the pipeline says.
+        # 3. Restart. Waiting sweeps are still answered; the others must be as many as the pipeline counts as dropped.
         statistics = pipeline.close()
         dropped += _settle(soaked, sent, answers)
         counted = statistics.dropped + sum(statistics.unpublished.values())
@@ -214,7 +214,7 @@ def soak_pipeline(seconds: float, rng: np.random.Generator) -> Soaked:
 
 
 def period_s(seconds: float) -> float:
-    """Return after how long everything begins anew in a soak of ``seconds``."""
+    """Return the seconds between restarts in a soak of ``seconds``."""
     return max(seconds / (RESTARTS + 1), LEAST_S)
 
 
@@ -226,7 +226,7 @@ def _take(answers: list[Answer], taken: list[Latencies], answer: Answer) -> None
 _NOTHING = FovEstimate(
     BevGrid(2, 1.0), np.zeros((2, 2), np.float32), np.full((2, 2), CellState.UNKNOWN, np.uint8)
 )  # fmt: skip
-"""In place of estimates that were answered: they are not kept."""
+"""Placeholder for the estimates of answers, which are not kept."""
 
 
 def _decoded(begun: list[int], number: int, cloud: Cloud, kind: str, t_ns: int) -> Sweep:
@@ -236,11 +236,11 @@ def _decoded(begun: list[int], number: int, cloud: Cloud, kind: str, t_ns: int) 
 
 
 def _settle(soaked: Soaked, sent: dict[int, str], answers: list[Answer]) -> int:
-    """Count what became of the sweeps that were answered; return how many before them were dropped."""
+    """Count the answered sweeps; return the number of earlier ones that were dropped."""
     dropped = 0
     while answers:
         answer = answers.pop(0)
-        # Sweeps are answered in their order: an earlier one without an answer has none any more.
+        # Sweeps are answered in order: an earlier one without an answer was dropped.
         for number in [number for number in sent if number < answer.number]:
             soaked.kinds[sent.pop(number)].dropped += 1
             dropped += 1
@@ -272,7 +272,7 @@ def log_line(soaked: Soaked, passed_s: float, taken: Latencies, memory: float) -
 
 
 def faults_of(soaked: Soaked) -> list[str]:
-    """Return what must not be, in sentences."""
+    """Return the failed checks as sentences."""
     faults = []
     for name, kind in soaked.kinds.items():
         if kind.sent != kind.answered + kind.refused + kind.dropped:
@@ -281,7 +281,7 @@ def faults_of(soaked: Soaked) -> list[str]:
         must_refuse = damage is not None and bool(damage.says)
         if must_refuse and kind.answered:
             faults.append(f"{name}: {kind.answered} were answered")
-        # A time that repeats that of a dropped sweep is a new one.
+        # A repeated time of a dropped sweep counts as new.
         if not (must_refuse or name == "time repeats") and kind.refused:
             faults.append(f"{name}: {kind.refused} were refused")
         says = damage.says if damage is not None else CLOCKS[name][1] if name in CLOCKS else ""
@@ -291,12 +291,12 @@ def faults_of(soaked: Soaked) -> list[str]:
 
 
 def memory_faults(log: Sequence[Sequence[float]]) -> list[str]:
-    """Return whether memory grew after the warm-up, in a sentence."""
+    """Return a sentence if memory grew too much after the warm-up."""
     return growth_faults([line[-1] for line in log if line[0] >= WARM_SHARE * log[-1][0]])
 
 
 def growth_faults(memories_mb: Sequence[float]) -> list[str]:
-    """Return whether the largest memory is too far above the first, in a sentence."""
+    """Return a sentence if the largest memory is too far above the first."""
     growth = max(memories_mb) / memories_mb[0] - 1.0
     return [f"memory grew by {growth:.1%}, from {memories_mb[0]:.0f} MB on"] if growth > GROWTH else []
 
@@ -312,7 +312,7 @@ def _sweep() -> Sweep:
 
 
 def _soak_node(seconds: float) -> Soaked | None:
-    """Return what became of the node; None where there is no environment for it."""
+    """Run the soak of the ROS 2 node and return its result; None without an environment for it."""
     with tempfile.TemporaryDirectory() as folder:
         np.savez(place := Path(folder) / "sweep.npz", **_columns(_sweep()))
         command = [str(ROOT / "ros" / "python.sh"), str(ROOT / "ros" / "measure" / "soak.py"), str(place), str(seconds)]
@@ -321,9 +321,9 @@ def _soak_node(seconds: float) -> Soaked | None:
         return None
     if done.returncode:
         return Soaked(faults=[f"the soak of the node crashed: {done.stderr.strip()[-800:]}"])
-    found = json.loads(done.stdout.splitlines()[-1])
-    kinds = {name: Kind(**{**kind, "reasons": Counter(kind["reasons"])}) for name, kind in found.pop("kinds").items()}
-    return Soaked(**found, kinds=kinds)
+    values = json.loads(done.stdout.splitlines()[-1])
+    kinds = {name: Kind(**{**kind, "reasons": Counter(kind["reasons"])}) for name, kind in values.pop("kinds").items()}
+    return Soaked(**values, kinds=kinds)
 
 
 def _columns(sweep: Sweep) -> dict[str, Any]:

@@ -28,12 +28,12 @@ SEED = 0
 
 
 def half_of(sweep: Sweep, rng: np.random.Generator) -> Sweep:
-    """Return a sweep with half of its points, drawn at random."""
+    """Return a sweep with a random half of its points."""
     return sweep.select(np.sort(rng.choice(len(sweep), len(sweep) // 2, replace=False)))
 
 
 def noisy(sweep: Sweep, rng: np.random.Generator) -> Sweep:
-    """Return a sweep whose ranges are off by a standard deviation of 2 cm."""
+    """Return a sweep with normal range noise of 2 cm standard deviation."""
     range_m = np.maximum(np.linalg.norm(sweep.points, axis=1), 1e-3)
     factor = 1.0 + rng.normal(0.0, NOISE_M, len(sweep)) / range_m
     return sweep.replace(points=(sweep.points * factor[:, None]).astype(np.float32))
@@ -46,16 +46,16 @@ CHANGES: dict[str, Callable[[Sweep, np.random.Generator], Sweep]] = {
 
 
 def iou(one: FovEstimate, other: FovEstimate) -> float:
-    """Return the cells visible in both of those visible in either; NaN where none is."""
-    everywhere = np.ones(one.grid.shape, np.bool_)
-    return ConfusionCounts.of(one.visible(), other.visible(), everywhere, one.grid.cell_m**2).iou
+    """Return the intersection over union of the visible cells; NaN if none is visible."""
+    mask = np.ones(one.grid.shape, np.bool_)
+    return ConfusionCounts.of(one.visible(), other.visible(), mask, one.grid.cell_m**2).iou
 
 
 def row(name: str, ious: Iterable[float], more: str = "") -> tuple[str, ...]:
-    """Return a line of the table: number, median, least."""
+    """Return a line of the table: number, median and minimum of IoUs."""
     known = [value for value in ious if not np.isnan(value)]
-    median, least = (float(np.median(known)), min(known)) if known else (float("nan"), float("nan"))
-    return name, str(len(known)), format_rate(median), format_rate(least), more
+    median, minimum = (float(np.median(known)), min(known)) if known else (float("nan"), float("nan"))
+    return name, str(len(known)), format_rate(median), format_rate(minimum), more
 
 
 def main(words: Sequence[str] | None = None) -> None:
@@ -67,18 +67,18 @@ def main(words: Sequence[str] | None = None) -> None:
     parser.add_argument(
         "at_rest", type=Path, nargs="?", help="a recording by a sensor that stands still, without poses"
     )
-    given = parser.parse_args(words)
+    arguments = parser.parse_args(words)
     estimator, rng = ShadowMap(GRIDS["road"]), np.random.default_rng(SEED)
-    found: dict[str, list[float]] = {name: [] for name in CHANGES}
-    for entry in read_index(given.index):
+    by_change: dict[str, list[float]] = {name: [] for name in CHANGES}
+    for entry in read_index(arguments.index):
         if entry.points:
             sweep = read_indexed(entry)
-            whole = estimator.estimate(sweep)
+            original = estimator.estimate(sweep)
             for name, change in CHANGES.items():
-                found[name].append(iou(whole, estimator.estimate(change(sweep, rng))))
-    rows = [row(name, ious) for name, ious in found.items()]
-    if given.at_rest is not None:
-        sweeps = list(read_sweeps(given.at_rest))
+                by_change[name].append(iou(original, estimator.estimate(change(sweep, rng))))
+    rows = [row(name, ious) for name, ious in by_change.items()]
+    if arguments.at_rest is not None:
+        sweeps = list(read_sweeps(arguments.at_rest))
         streams = {"each by itself": map(estimator.estimate, sweeps), "in a stream": estimator.stream(sweeps)}
         for name, stream in streams.items():
             views = list(stream)

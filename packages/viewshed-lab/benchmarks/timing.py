@@ -1,4 +1,4 @@
-"""Medians over interleaved repeats: every round runs each candidate once, in an order drawn anew."""
+"""Medians over interleaved repeats: every round runs each candidate once, in a new random order."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ import numpy as np
 
 Job = Callable[[], object]
 Clock = Callable[[], int]
-FEWEST, MOST = 7, 301
+MIN_REPEATS, MAX_REPEATS = 7, 301
 
 
 @dataclass(frozen=True, slots=True)
 class Timing:
-    """Milliseconds of one candidate: median, 10th and 90th percentile, and how often it ran."""
+    """Milliseconds of one candidate: median, 10th and 90th percentile; and its number of runs."""
 
     median_ms: float
     low_ms: float
@@ -26,27 +26,27 @@ class Timing:
 def interleaved(
     jobs: Mapping[str, Job], rng: np.random.Generator, budget_s: float = 2.0, clock: Clock = time.perf_counter_ns
 ) -> dict[str, Timing]:
-    """Return the timing of each job by name; all share the rounds, so that what disturbs one disturbs all."""
+    """Return the timing of each job by name; all share the rounds, so that a disturbance affects all."""
     return {name: summary(times) for name, times in times_of(jobs, rng, budget_s, clock).items()}
 
 
 def times_of(
     jobs: Mapping[str, Job], rng: np.random.Generator, budget_s: float = 2.0, clock: Clock = time.perf_counter_ns
 ) -> dict[str, list[float]]:
-    """Return the milliseconds of each run of each job by name, from rounds in which each ran once.
+    """Return the milliseconds of each run of each job by name, from rounds in which each job runs once.
 
-    ``clock`` gives nanoseconds: ``time.thread_time_ns`` leaves out what other processes took.
+    ``clock`` returns nanoseconds; ``time.thread_time_ns`` excludes the time of other processes.
     """
-    for job in jobs.values():  # compiles, and fills caches
+    for job in jobs.values():  # warm-up: compiles, and fills caches
         job()
     once_s = sum(_elapsed_ms(job, clock) for job in jobs.values()) / 1e3
-    repeats = int(np.clip(budget_s / max(once_s, 1e-6), FEWEST, MOST))
+    repeats = int(np.clip(budget_s / max(once_s, 1e-6), MIN_REPEATS, MAX_REPEATS))
     names = list(jobs)
-    taken: dict[str, list[float]] = {name: [] for name in names}
+    times_ms: dict[str, list[float]] = {name: [] for name in names}
     for _ in range(repeats):
         for pick in rng.permutation(len(names)):
-            taken[names[pick]].append(_elapsed_ms(jobs[names[pick]], clock))
-    return taken
+            times_ms[names[pick]].append(_elapsed_ms(jobs[names[pick]], clock))
+    return times_ms
 
 
 def summary(times_ms: list[float]) -> Timing:
@@ -56,7 +56,7 @@ def summary(times_ms: list[float]) -> Timing:
 
 
 def bandwidth_bytes_per_s() -> float:
-    """Return the bytes per second that one thread reads and writes in a copy of 256 MB, the best of seven."""
+    """Return the bytes per second that one thread reads and writes when copying 256 MB, the best of seven runs."""
     source = np.ones(256 * 1_000_000 // 8)
     target = np.empty_like(source)
     np.copyto(target, source)

@@ -54,7 +54,7 @@ def main() -> None:
     """Measure, print and write the page."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.tracker", description=__doc__)
     parser.add_argument("--page", type=Path, default=PAGE, help="where the Markdown goes")
-    chosen = parser.parse_args()
+    arguments = parser.parse_args()
     rng = np.random.default_rng(SEED)
     sweeps = scenario(rng, targets=TARGETS, half_extent_m=EXTENT_M, sweeps=SWEEPS)
     jobs: dict[str, Callable[[], object]] = {
@@ -77,11 +77,11 @@ def main() -> None:
         table(["tracker", "median, ms (10–90 %)", "target", ""], rows),
     )
     print(content)
-    chosen.page.write_text(content, encoding="utf-8")
+    arguments.page.write_text(content, encoding="utf-8")
 
 
 def _street() -> tuple[LeveledSweep, FovEstimate]:
-    """Return a sweep at a junction, and the shadow map of it."""
+    """Return a leveled sweep at a junction, and its shadow map."""
     sweep = cast(lidar_model("hdl32e"), junction(), 1.84)
     grid = BevGrid(256, 64.0)
     leveled = level(sweep.replace(world_from_sensor=Rigid.from_yaw(0.0, (0.0, 0.0, 1.84))), grid)
@@ -89,7 +89,7 @@ def _street() -> tuple[LeveledSweep, FovEstimate]:
 
 
 def _trackers() -> dict[str, tuple[Rules | None, Callable[[float], View]]]:
-    """Return rules and view of each tracker that is measured, by name."""
+    """Return rules and view of each measured tracker, by name."""
     leveled, estimate = _street()
     polygon = ESTIMATORS["concave_hull"](estimate.grid).estimate(leveled.sweep).polygon()
     return {
@@ -118,14 +118,14 @@ def _cars(centers: F64) -> Detections:
 
 
 def _observed(sweeps: list[tuple[float, F64]]) -> list[Observed]:
-    """Return what fusion is given of the same cars, in a street with its cells."""
+    """Return the input of fusion for the same cars, in a street with its cells."""
     leveled, estimate = _street()
     tracker, observed = Tracker(), list[Observed]()
     for t_s, centers in sweeps:
-        found = _cars(centers)
+        cars = _cars(centers)
         view = BeamView(leveled, t_s)
-        seen = SensorView("top", view, np.zeros(2), SeenCells.of(estimate))
-        observed.append((tracker.step(t_s, found, view), found, (seen,)))
+        sensor_view = SensorView("top", view, np.zeros(2), SeenCells.of(estimate))
+        observed.append((tracker.step(t_s, cars, view), cars, (sensor_view,)))
     return observed
 
 
@@ -138,9 +138,9 @@ def _fuse(observed: list[Observed]) -> None:
 
 def _row(name: str, timing: Timing) -> list[str]:
     median, low, high = (value / SWEEPS for value in (timing.median_ms, timing.low_ms, timing.high_ms))
-    aim = FUSION_MS if name == FUSION else TARGET_MS
-    target, met = ("–", "–") if name == "Stone Soup" else (f"≤ {aim:g} ms", "met" if median <= aim else "**missed**")
-    return [name, f"{median:.2f} ({low:.2f}–{high:.2f})", target, met]
+    max_ms = FUSION_MS if name == FUSION else TARGET_MS
+    verdict = [f"≤ {max_ms:g} ms", "met" if median <= max_ms else "**missed**"]
+    return [name, f"{median:.2f} ({low:.2f}–{high:.2f})", *(verdict if name != "Stone Soup" else ["–", "–"])]
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Estimators against exact truth: pooled over samples, by range, and without the cells that one beam decides."""
+"""Compares estimators with exact truth: pooled over samples, by range, and without cells near the threshold."""
 
 from __future__ import annotations
 
@@ -22,37 +22,37 @@ from viewshed_lab.studies.records import SEVERAL, VIEW, Case, Domain, Results, R
 from viewshed_lab.studies.samples import CLEAR, SENSOR, parts_of
 
 DEFINITION = Case("definition")
-"""The case in which no estimator but another definition of visible is held against ours."""
+"""The case that compares another definition of visible, not an estimator, with ours."""
 
 Form = Callable[[Sweep], Sweep]
 
 
 @dataclass(frozen=True, slots=True)
 class TruthEvaluation:
-    """Who is compared, and how."""
+    """Estimators to compare, and parameters of the comparison."""
 
-    estimators: Mapping[str, Callable[[BevGrid], FovEstimator]]  # by name, what makes one for a grid
-    target: Target  # what would have to be seen
-    forms: Mapping[str, Form]  # by name, in which form the estimators are given the sweep
-    # edges of the range bands, as shares of half the grid's side
+    estimators: Mapping[str, Callable[[BevGrid], FovEstimator]]  # by name, factory for a grid
+    target: Target  # target whose visibility counts
+    forms: Mapping[str, Form]  # by name, conversion of the sweep before it is estimated
+    # edges of the range bands, as shares of the grid's half extent
     bands: tuple[float, ...] = (0.0, 0.125, 0.25, 0.5, 0.75, 1.0, 1.415)
-    threshold: float = THRESHOLD  # probability from which an estimate calls a cell visible
+    threshold: float = THRESHOLD  # minimum probability of a visible cell
 
     def rows(self, samples: Iterable[Sample]) -> Iterator[Row]:
-        """Yield the counts of every estimator on each sample in each form; who cannot use a sweep claims nothing."""
-        made: dict[tuple[str, BevGrid], FovEstimator] = {}
+        """Yield the counts of every estimator on each sample in each form; without an estimate nothing is claimed."""
+        cache: dict[tuple[str, BevGrid], FovEstimator] = {}
         for sample in samples:
             for form, change in self.forms.items():
                 sweep = change(sample.sweep)
                 for name, make in self.estimators.items():
                     key = name, sample.truth.grid
-                    if key not in made:
-                        made[key] = make(sample.truth.grid)
-                    claimed = made[key].estimate(sweep).visible(self.threshold)
+                    if key not in cache:
+                        cache[key] = make(sample.truth.grid)
+                    claimed = cache[key].estimate(sweep).visible(self.threshold)
                     yield from self._compare(sample, name, form_case(form), claimed)
 
     def definitions(self, samples: Iterable[Sample]) -> Iterator[Row]:
-        """Yield the counts of the other definitions of visible against ``probe``, ours."""
+        """Yield the counts of the other definitions of visible against ours, ``probe``."""
         for sample in samples:
             for name in OTHER_DEFINITIONS:
                 if name in sample.truth.definitions:
@@ -65,7 +65,7 @@ class TruthEvaluation:
             yield row_of(Series("", method, case, region), sample.scene, SEVERAL, counts)
 
     def regions(self, sample: Sample) -> dict[str, Mask]:
-        """Return the known cells by region: all of them, and the parts of the view."""
+        """Return masks of known cells by region: all of them, and the parts of the view."""
         parts = parts_of(sample, self.target, self.bands, max(1, self.target.min_returns // 2))
         return {VIEW: sample.known} | {name: sample.known & part for name, part in parts.items()}
 
@@ -81,20 +81,20 @@ FORMS: dict[str, Form] = {
     "unorganized, no sensor": unorganized_no_sensor,
     "bare points": bare_points,
 }
-"""In which form a sweep may be given, by name; the first is as it was measured."""
+"""Forms of a sweep by name; the first is as measured."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ArchiveResults:
-    """What was found on one data set."""
+    """Results on one data set."""
 
     name: str  # of its preset
-    about: str  # its seed, and how many samples were looked at
-    found: Domain[TruthEvaluation]  # on them; the domain of these rows has no name
+    about: str  # its seed, and the number of samples
+    found: Domain[TruthEvaluation]  # the results; the domain of these rows has an empty name
 
     @classmethod
     def of(cls, data: Archive, evaluation: TruthEvaluation, limit: int, on_step: Callable[[str], None]) -> Self:
-        """Return the results of at most ``limit`` samples, spread evenly over a data set."""
+        """Return the results on at most ``limit`` samples, spread evenly over a data set."""
         count, recipe = min(limit, len(data)), data.manifest.recipe
         on_step(f"{recipe.get('preset')}: {count} samples")
         samples = [k * len(data) // count for k in range(count)]
@@ -104,15 +104,15 @@ class ArchiveResults:
         return cls(str(recipe.get("preset")), f"Seed {recipe.get('seed')}; {spread}", found)
 
     def methods(self, case: Case) -> dict[str, str]:
-        """Return who was tried in a case."""
+        """Return the methods that have rows in a case."""
         return by_name(series.method for series in self.found.results.series() if series.case == case)
 
     def regions(self, case: Case) -> list[str]:
-        """Return the regions that were counted in a case."""
+        """Return the regions that have rows in a case."""
         return list(dict.fromkeys(series.region for series in self.found.results.series() if series.case == case))
 
     def summary(self, case: Case) -> Table:
-        """Return rates and areas of each method."""
+        """Return the table of rates and areas of each method."""
 
         def figure(digits: int, value: Callable[[ConfusionCounts], float], region: str = VIEW) -> Callable[[str], str]:
             return lambda name: format_number(value(self.found.counts(name, case, region)), digits)
@@ -128,19 +128,19 @@ class ArchiveResults:
         })  # fmt: skip
 
     def by_range(self, case: Case) -> Table:
-        """Return F1 by range band."""
+        """Return the table of F1 by range band."""
         bands = [name for name in self.regions(case) if name not in (VIEW, CLEAR) and not name.startswith(SENSOR)]
         return self._f1_by_region(case, by_name(bands))
 
     def by_sensor(self, case: Case) -> Table:
-        """Return F1 by sensor, with how many samples it has."""
+        """Return the table of F1 by sensor, with the number of its samples."""
         method, heads = next(iter(self.methods(case))), {}
         for region in sorted(name for name in self.regions(case) if name.startswith(SENSOR)):
             heads[f"{region.removeprefix(SENSOR)} ({self.found.counts(method, case, region).samples})"] = region
         return self._f1_by_region(case, heads or {"all": VIEW})
 
     def _f1_by_region(self, case: Case, heads: Mapping[str, str]) -> Table:
-        """Return a table of F1 by region; ``heads`` are the regions by the words above their columns."""
+        """Return a table of F1 by region; ``heads`` maps column headers to regions."""
         return pivot("", self.methods(case), heads,
                      lambda method, region: format_number(self.found.counts(method, case, region).f1, 3))  # fmt: skip
 

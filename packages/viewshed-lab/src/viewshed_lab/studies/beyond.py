@@ -1,6 +1,6 @@
-"""Claims beyond every return of their direction: behind a wall that all beams hit they are wrong.
+"""Measures claims beyond every return in their direction; behind a wall that all beams hit they are wrong.
 
-In a room only an open door or window makes such a claim right. Outdoors an open street does, too.
+In a room such a claim is right only through an open door or window. Outdoors it is also right along an open street.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from viewshed_lab._page import facts, page, table
 from viewshed_lab.studies.formatting import format_rate
 
 WITHIN_DEG = 3.0
-"""A claim is beyond the returns if it is beyond all whose azimuth differs by at most this."""
+"""A claim is beyond the returns if it is beyond all returns whose azimuths differ by at most this."""
 
 WORDS = f"""Share of the claimed cells that lie a cell or more beyond every return within {WITHIN_DEG:g}° of azimuth: of
 the default, and of the same where measured beams alone count. Height: of the sensor, with the share of the near ground
@@ -28,10 +28,10 @@ that supports it. Indoors only doors and windows make such a claim right; on roa
 
 
 def beyond_returns(leveled: LeveledSweep, grid: BevGrid) -> Mask:
-    """Return the cells (cells, cells) that lie a cell or more beyond every return within 3° of their azimuth."""
+    """Return the mask (cells, cells) of cells at least a cell beyond every return within 3° of their azimuth."""
     range_m, azimuth = (map_.ravel().astype(np.float64) for map_ in polar_of_cells(grid))
     order = np.argsort(leveled.azimuth, kind="stable")
-    # Returns once around, and what is needed of them beyond both ends.
+    # Sorted returns, repeated at both ends so that windows can cross the seam.
     around = np.concatenate([leveled.azimuth[order].astype(np.float64) + turn for turn in (-2 * np.pi, 0, 2 * np.pi)])
     far_m = np.append(np.tile(leveled.range_m[order], 3), -np.inf)
     window = np.deg2rad(WITHIN_DEG)
@@ -42,17 +42,17 @@ def beyond_returns(leveled: LeveledSweep, grid: BevGrid) -> Mask:
 
 
 def beyond_page(sweeps: Iterable[tuple[str, Sweep]]) -> str:
-    """Return the page of named sweeps: which share of their claims lies beyond the returns, on both grids."""
+    """Return the page of named sweeps: the share of their claims beyond the returns, on both grids."""
     rows = []
     cases = ((name, sweep, *case) for name, sweep in sweeps for case in (("road", CAR), ("indoor", PEDESTRIAN)))
     for name, sweep, grid_name, target in cases:
         grid = GRIDS[grid_name]
         leveled = level(sweep, grid)
-        beyond, found = beyond_returns(leveled, grid), ShadowMap(grid, target).estimate(leveled)
-        alone = ShadowMap(grid, target, no_return="unknown").estimate(leveled)
+        beyond, default = beyond_returns(leveled, grid), ShadowMap(grid, target).estimate(leveled)
+        measured_only = ShadowMap(grid, target, no_return="unknown").estimate(leveled)
         height = f"{leveled.sensor_height_m:.2f} m, {min(leveled.ground.support, 1.0):.0%}"
-        shares = [_share(beyond, estimate) for estimate in (found, alone)]
-        rows.append([name, f"{grid_name}, {target.name}", height, f"{found.area_m2():.0f}", *shares])
+        shares = [_share(beyond, estimate) for estimate in (default, measured_only)]
+        rows.append([name, f"{grid_name}, {target.name}", height, f"{default.area_m2():.0f}", *shares])
     header = ("sweep", "grid, target", "height", "claimed, m²", "beyond the returns", "measured beams alone")
     return page("Claims beyond the returns", facts(), WORDS, table(header, rows))
 

@@ -1,6 +1,6 @@
-"""The cases of the studies: what is done to a sweep, in which order, and with which seed.
+"""The cases of the studies: attacks and corruptions of a sweep, with their seeds.
 
-The truth of a sensor that a corruption made another one: fewer beams see less, and that is not an error.
+Corruptions that remove beams also change the truth: a sensor with fewer beams sees less, which is not an error.
 """
 
 from __future__ import annotations
@@ -37,40 +37,39 @@ from viewshed_lab.threats.attacks.points import PaperAttack
 from viewshed_lab.threats.corruptions import CORRUPTIONS, Corruption
 
 KINDS = ("benign", "attack", "strength", "corruption", "paper", "adaptive", "unaware")
-"""Nothing; an attack with a budget; with a sector, share or offset; a corruption with a
-severity; the paper's attacks with a number of points; an attacker who queries the victim, and with it the defense if
-there is one; and one who queried the victim without knowing of the defense. The last two differ from victim to victim:
-see ``adaptive``."""
+"""No attack; an attack with a budget; one with a sector, share or offset; a corruption with a severity; the paper's
+attacks with a number of points; an attacker that queries the victim, behind its defense if it has one; and one that
+queries the victim without its defense. The last two attack each victim separately, see ``evaluate``."""
 
 FULL = "full"
 """The budget of every beam in the wedge."""
 
 DEFAULT = "default"
-"""The budget that an attack has of itself."""
+"""The default budget of an attack."""
 
 MIXTURE = Case("paper", "mixture")
 """The paper's attacks, drawn anew for each sweep."""
 
 TOUCHING = tuple(name for name in ATTACKS if name != "pose_spoof")
-"""Attacks that touch returns; a spoofed pose only moves the estimate in the map."""
+"""Attacks that change returns; a spoofed pose only moves the estimate in the map."""
 
 ROOM_M = 20.0
-"""Grids with a smaller half side are indoors: the paper's indoor settings apply."""
+"""Grids with a smaller half extent are indoors: the paper's indoor settings apply."""
 
 
 def generator(seed: int, *words: str | int) -> np.random.Generator:
-    """Return a generator of its own for what the words and numbers say."""
+    """Return a random generator seeded by a seed, words and numbers."""
     numbers = [word if isinstance(word, int) else zlib.crc32(word.encode()) for word in words]
     return np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, *numbers])))
 
 
 def case_generator(seed: int, domain: str, number: int, case: Case) -> np.random.Generator:
-    """Return the generator of a case on one sweep: the same for all its levels and defenses, so that they compare."""
+    """Return the generator of a case on one sweep; all levels and defenses share it, for comparison."""
     return generator(seed, number, domain, case.kind.replace("strength", "attack"), case.name)
 
 
 def budgets_of(name: str, budgets: tuple[str, ...]) -> list[str]:
-    """Return those of the budgets that an attack is tried with, from the smallest.
+    """Return those of the budgets that an attack supports, in ascending order.
 
     >>> budgets_of("uniform", ("full", "150")), budgets_of("ghost_wall", ("full", "150"))
     (['150'], ['150', 'full'])
@@ -80,7 +79,7 @@ def budgets_of(name: str, budgets: tuple[str, ...]) -> list[str]:
 
 
 def strongest_case(name: str, budgets: tuple[str, ...]) -> Case:
-    """Return an attack with the largest of the budgets that fits it, or where none does its largest strength."""
+    """Return an attack with the largest supported budget, or without one with its largest strength."""
     levels = [level for level in budgets_of(name, budgets) if level != "0"]
     if levels or name not in STRENGTHS:
         return Case("attack", name, levels[-1] if levels else str(max(BUDGETS[name])))
@@ -89,18 +88,18 @@ def strongest_case(name: str, budgets: tuple[str, ...]) -> Case:
 
 
 def budget_cases(name: str, budgets: tuple[str, ...]) -> list[Case]:
-    """Return an attack with those of the budgets that it is tried with."""
+    """Return the cases of an attack with each supported budget."""
     return [Case("attack", name, level) for level in budgets_of(name, budgets)]
 
 
 def strength_cases(name: str, attribute: str = "") -> list[Case]:
-    """Return an attack with each of its sectors, shares and offsets, or with those of one attribute."""
+    """Return the cases of an attack with each of its sectors, shares and offsets, or those of one attribute."""
     values = [(a, value) for a, value in STRENGTHS.get(name, ()) if attribute in ("", a)]
     return [Case("strength", name, f"{a} {value:g}") for a, value in values]
 
 
 def corruption_cases(names: Sequence[str], severities: Sequence[int]) -> list[Case]:
-    """Return corruptions with severities."""
+    """Return the cases of corruptions, each with each severity."""
     return [Case("corruption", name, str(severity)) for name in names for severity in severities]
 
 
@@ -111,10 +110,10 @@ def behind(cases: Sequence[Case], defenses: Sequence[str]) -> Iterator[Case]:
 
 
 def apply(case: Case, sample: StudySample, rng: np.random.Generator) -> Tampered:
-    """Return the sweep as a case leaves it, without its defense; what a corruption does is no attacker's.
+    """Return the sweep after a case's attack or corruption (which is not recorded), without its defense.
 
     Raises:
-        ValueError: the attack or corruption cannot work on this sweep; the message says why.
+        ValueError: the attack or corruption is impossible on this sweep; the message says why.
     """
     sweep = sample.sweep
     if case.kind == "benign":
@@ -125,7 +124,7 @@ def apply(case: Case, sample: StudySample, rng: np.random.Generator) -> Tampered
 
 
 def untouched(sweep: Sweep) -> Tampered:
-    """Return a sweep to which no attacker did anything."""
+    """Return the record of a sweep without an attack."""
     none = np.zeros(len(sweep), np.bool_)
     return Tampered(sweep, none, none)
 
@@ -134,7 +133,7 @@ def attack_of(case: Case, sample: StudySample) -> Attack:
     """Return the attack of a case, scaled to the grid of the truth.
 
     Raises:
-        ValueError: it needs an earlier sweep and there is none, or there is no attack of this kind.
+        ValueError: the attack needs an earlier sweep and there is none, or the kind is not an attack.
     """
     half_extent_m = sample.truth.grid.half_extent_m
     knowledge = Knowledge(sample.earlier[:1], half_extent_m=half_extent_m)
@@ -160,15 +159,16 @@ def _paper_attack(case: Case, mixture: PaperAttack) -> PaperAttack:
 
 
 OTHER_SENSORS = ("fewer_beams", "dead_rings")
-"""Corruptions after which the sensor has fewer beams: the truth counts only those that are left."""
+"""Corruptions after which the sensor has fewer beams: the truth counts only the remaining ones."""
 
 _PROBE_M = 10.0
 
 
 def visible_with(case: Case, sample: StudySample, rng: np.random.Generator) -> Mask | None:
-    """Return what the sensor that a case leaves could have seen (cells, cells), or None where it is the same sensor.
+    """Return the true visibility (cells, cells) with the beams that a case leaves, or None if the sensor is unchanged.
 
-    A recorded sample has no scene to look at again: None. ``rng`` is in the state in which the corruption finds it.
+    None also for a recorded sample, which has no scene to simulate again. ``rng`` must be in the same state as for the
+    corruption.
     """
     if case.kind != "corruption" or case.name not in OTHER_SENSORS or sample.frame is None:
         return None
@@ -181,12 +181,12 @@ def visible_with(case: Case, sample: StudySample, rng: np.random.Generator) -> M
 
 @lru_cache(maxsize=1)
 def _scan(scene: ScenePlan, number: int) -> ExactScan:
-    """Return what every beam met in a frame; a sample is looked at several times in a row."""
+    """Return the exact scan of a frame, cached as cases of one sample follow each other."""
     return scan_frame(scene, number)[0]
 
 
 def kept_rings(corruption: Corruption, model: LidarModel, rng: np.random.Generator) -> Mask:
-    """Return which rings of a sensor (rings,) a corruption leaves, seen on a sweep with one return a ring."""
+    """Return the mask (rings,) of rings that a corruption keeps, found with a sweep of one return per ring."""
     direction = np.stack([np.cos(model.elevation), np.zeros(model.rings), np.sin(model.elevation)], axis=1)
     probe = Sweep(
         (_PROBE_M * direction).astype(np.float32), ring=np.arange(model.rings, dtype=np.int16), model=model
@@ -196,7 +196,7 @@ def kept_rings(corruption: Corruption, model: LidarModel, rng: np.random.Generat
 
 
 def with_rings(scan: ExactScan, kept: Mask) -> ExactScan:
-    """Return a scan of a sensor that has only some of its rings (R,), from the lowest up."""
+    """Return the scan of a sensor with only the rings of a mask (R,)."""
     model = scan.model
     fewer = replace(
         model, elevation=model.elevation[kept], azimuth_offset=model.azimuth_offset[kept], origin_m=model.origin_m[kept]

@@ -1,6 +1,6 @@
-"""What is counted of one sample: the estimates of a suite in each case, against one truth, in the view and the wedge.
+"""Evaluates one sample: counts of each estimator in each case against the truth, in the view and in the wedge.
 
-Attackers who query their victim: each estimator, bare or behind a defense, meets an attack made against itself.
+Adaptive attackers query their victim: each estimator, bare or behind a defense, is attacked separately.
 """
 
 from __future__ import annotations
@@ -31,17 +31,17 @@ from viewshed_lab.threats.attacks.base import Tampered, Wedge
 from viewshed_lab.threats.defenses import DEFENSES, Defended, Defense, TemporalConsistency
 
 AIMED_AS = Case("attack", "far_wall", "0")
-"""The attack that does not query and whose wedge adaptive attackers take over, so that both can be compared."""
+"""The attack without queries whose wedge adaptive attackers use as well, so that both can be compared."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reference:
-    """What estimates of a sample are held against."""
+    """The truth that estimates of a sample are compared with."""
 
     grid: BevGrid  # of the masks
     visible: Mask  # (cells, cells) bool, truth
-    known: Mask  # (cells, cells) bool, the cells that count
-    pose: Rigid | None = None  # of the clean sweep's ``level`` frame in the map, or None
+    known: Mask  # (cells, cells) bool, cells that count
+    pose: Rigid | None = None  # pose of the clean sweep's ``level`` frame in the map, or None
 
     @classmethod
     def of(cls, sample: StudySample, visible: Mask, known: Mask, grid: BevGrid) -> Reference:
@@ -50,7 +50,7 @@ class Reference:
 
     @classmethod
     def exact(cls, sample: StudySample) -> Reference:
-        """Return the exact truth of ``probe``, where it is known."""
+        """Return the exact truth, by the definition ``probe``."""
         return cls.of(sample, sample.truth.visible(CAR), sample.known, sample.truth.grid)
 
     @classmethod
@@ -60,21 +60,21 @@ class Reference:
         return cls.of(sample, label.visible(PAPER_THRESHOLD), np.ones(grid.shape, np.bool_), grid)
 
     def inside(self, wedge: Wedge) -> Mask:
-        """Return the cells (cells, cells) that count and whose azimuth a wedge holds."""
+        """Return the mask (cells, cells) of cells that count and lie in a wedge."""
         return self.known & wedge.holds(polar_of_cells(self.grid)[1])
 
     def prob_of(self, estimate: FovEstimate) -> NDArray[np.float32]:
-        """Return the probability of visible (cells, cells) where the clean sweep's cells are.
+        """Return the probability of visible (cells, cells) at the cells of the clean sweep.
 
-        Where the sweep's pose is not the clean one, an estimate lies elsewhere in the map than the truth: each of the
-        truth's cells is looked up there, and is not claimed where the estimate does not reach.
+        If the pose was attacked, the estimate is elsewhere in the map than the truth: look up each cell of the truth
+        in the estimate by its place in the map. A cell outside the estimate gets 0.
         """
         pose = estimate.world_from_level
         if self.pose is None or pose is None or not _moved(self.pose, pose):
             return estimate.visible_prob
         centers = np.concatenate([self.grid.centers, np.zeros((*self.grid.shape, 1))], axis=-1).reshape(-1, 3)
-        seen_at = (pose.inverse() @ self.pose) @ centers
-        return np.nan_to_num(estimate.at(seen_at[:, :2]).reshape(self.grid.shape), nan=0.0)
+        places = (pose.inverse() @ self.pose) @ centers
+        return np.nan_to_num(estimate.at(places[:, :2]).reshape(self.grid.shape), nan=0.0)
 
     def counts(self, prob: NDArray[np.float32], threshold: float, mask: Mask) -> ConfusionCounts:
         """Return the counts of probabilities (cells, cells) over the cells of a mask."""
@@ -90,32 +90,32 @@ class Reference:
 
 
 def _moved(one: Rigid, other: Rigid) -> bool:
-    """Return whether two poses differ in heading or position; a tilt alone leaves the cells where they are."""
+    """Return whether two poses differ in heading or position; a tilt alone does not move cells."""
     difference = one.inverse() @ other
     return bool(abs(difference.yaw) > 1e-9 or np.hypot(*difference.translation[:2]) > 1e-6)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Evaluation:
-    """One sample, who is tried on it, and against what."""
+    """One sample with estimators, truth and defenses."""
 
-    sample: StudySample  # the sweep and what was measured before
+    sample: StudySample  # the sweep and earlier sweeps
     suite: EstimatorSuite  # the estimators
     reference: Reference  # the truth
     domain: str  # of the sample
     number: int  # of the sample in its domain
-    rng_of: Callable[[Case], np.random.Generator]  # generator of a case on this sample, as it begins
+    rng_of: Callable[[Case], np.random.Generator]  # returns a new generator of a case on this sample
     protocol: str = STRICT  # ``STRICT`` or ``PAPER``
     defenses: Mapping[str, Defense] = field(default_factory=dict)  # by name
     _tampered: dict[Case, Tampered] = field(init=False, repr=False, default_factory=dict)
     _references: dict[tuple[str, str], Reference] = field(init=False, repr=False, default_factory=dict)
 
     def rows(self, cases: Iterable[Case], *, untouched: bool = False) -> Iterator[Row]:
-        """Yield the rows of every estimator in each case, or why the case cannot be made.
+        """Yield the rows of every estimator in each case, or a row that says why the case is impossible.
 
         Args:
-            cases: what is done to the sweep.
-            untouched: whether the attacker's wedge is also counted with no return touched.
+            cases: attacks, corruptions and defenses.
+            untouched: whether the attacker's wedge is also counted on the clean sweep.
         """
         for case in cases:
             try:
@@ -125,7 +125,7 @@ class Evaluation:
                 yield self.refusal(case, error)
                 continue
             if defended is not None:
-                yield self.row("", case, **_judged(defended, tampered))
+                yield self.row("", case, **_defense_counts(defended, tampered))
             sweep = tampered.sweep if defended is None else defended.sweep
             for name, estimate in self.suite.estimates(level(sweep, self.suite.grid)).items():
                 yield from self.compare(name, case, estimate, tampered.wedge)
@@ -133,7 +133,7 @@ class Evaluation:
                     yield self._untouched(name, case, tampered.wedge)
 
     def compare(self, method: str, case: Case, estimate: FovEstimate, wedge: Wedge | None) -> Iterator[Row]:
-        """Yield what an estimate is worth in the whole view, and in the attacker's wedge if there is one."""
+        """Yield the rows of an estimate: in the whole view, and in the attacker's wedge if there is one."""
         reference = self.reference_of(case)
         prob, threshold = reference.prob_of(estimate), self.suite.threshold
         area = average_precision(prob[reference.known], reference.visible[reference.known])
@@ -161,11 +161,11 @@ class Evaluation:
         return row_of(series, self.sample.sample.scene, self.number, counts, scores, **other)
 
     def refusal(self, case: Case, error: ValueError) -> Row:
-        """Return the row of a case that cannot be made."""
+        """Return the row of a case that is impossible."""
         return self.row("", case, refused=" ".join(str(error).split()))
 
     def tampered(self, case: Case) -> Tampered:
-        """Return the sweep as a case leaves it, without its defense; the last one is kept for the next defense."""
+        """Return the sweep after a case, without its defense; the last one is cached for the next defense."""
         bare = replace(case, defense="")
         if bare not in self._tampered:
             self._tampered.clear()
@@ -173,7 +173,7 @@ class Evaluation:
         return self._tampered[bare]
 
     def reference_of(self, case: Case) -> Reference:
-        """Return what a case is held against: the same truth for all but those that leave another sensor."""
+        """Return the truth of a case: the same for all cases except those that change the sensor."""
         key = case.name, case.level
         if key not in self._references:
             visible = visible_with(case, self.sample, self.rng_of(case))
@@ -182,13 +182,13 @@ class Evaluation:
 
 
 def defense_of(name: str, sample: StudySample) -> Defense:
-    """Return a defense; the temporal one knows the sweep just before, which nobody attacked."""
+    """Return a defense; the temporal one knows the previous, clean sweep."""
     defense = DEFENSES[name]()
     return replace(defense, earlier=sample.earlier[-1:]) if isinstance(defense, TemporalConsistency) else defense
 
 
-def _judged(defended: Defended, tampered: Tampered) -> dict[str, Any]:
-    """Return how many of the attacker's and of the other returns a defense drops, and whether it alarms."""
+def _defense_counts(defended: Defended, tampered: Tampered) -> dict[str, Any]:
+    """Return the numbers of forged and other returns, those of each that a defense drops, and its alarm."""
     added, dropped = tampered.added, defended.dropped
     numbers: dict[str, Any] = {"caught": int((dropped & added).sum()), "added": int(added.sum()),
                "lost": int((dropped & ~added).sum()), "others": int((~added).sum())}  # fmt: skip
@@ -197,15 +197,15 @@ def _judged(defended: Defended, tampered: Tampered) -> dict[str, Any]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AdaptiveEvaluation:
-    """One sample on which attackers who query meet their victims. What was found against a bare victim is kept."""
+    """One sample with adaptive attackers. Attacks on bare victims are cached."""
 
     evaluation: Evaluation  # the sample, the victims, the truth and the defenses
-    queries: int  # that an attacker makes
-    defended: Sequence[str]  # victims that stand behind the defenses
+    queries: int  # queries of an attacker
+    defended: Sequence[str]  # victims that are also tried behind the defenses
     _attacked: dict[tuple[str, str], Sweep] = field(init=False, repr=False, default_factory=dict)
 
     def rows(self, cases: Iterable[Case]) -> Iterator[Row]:
-        """Yield the rows of every victim under the attack that was made against it, case by case."""
+        """Yield the rows of every victim under its own attack, case by case."""
         suite, defenses = self.evaluation.suite, self.evaluation.defenses
         for case in cases:
             try:
@@ -222,7 +222,7 @@ class AdaptiveEvaluation:
 
     @property
     def wedge(self) -> Wedge:
-        """Where all of these attackers work: where the far wall does."""
+        """The wedge of all adaptive attackers: that of the far wall."""
         attack = ATTACKS[AIMED_AS.name](0, Knowledge(half_extent_m=self.evaluation.suite.grid.half_extent_m))
         wedge = attack.apply(self.evaluation.sample.sweep, self.evaluation.rng_of(AIMED_AS)).wedge
         if wedge is None:
@@ -230,7 +230,7 @@ class AdaptiveEvaluation:
         return wedge
 
     def _sweep(self, case: Case, victim: str) -> Sweep:
-        """Return the sweep as the attacker of a case leaves it, before any defense."""
+        """Return the sweep after the attack of a case, before any defense."""
         clean = self.evaluation.sample.sweep
         if case.level == "0":
             return clean
@@ -245,11 +245,11 @@ class AdaptiveEvaluation:
         return self._attacked[key]
 
     def attack(self, case: Case, victim: str, defense: Defense | None) -> BlackBox:
-        """Return an attacker who queries the victim; one who meets an alarm also takes care not to raise it."""
+        """Return an attacker that queries the victim; if the defense has an alarm, it also tries not to raise it."""
         estimator: FovEstimator = self.evaluation.suite.estimators[victim]
         wedge = self.wedge
         if defense is not None:
-            # The victim reads only what the defense leaves.
+            # The victim sees only the returns that the defense keeps.
             estimator = Changed(estimator, lambda bare, sweep: bare.estimate(defense.apply(sweep).sweep))
         attack = ADAPTIVE[case.name](int(case.level), Knowledge(estimator=estimator))
         if not isinstance(attack, BlackBox):

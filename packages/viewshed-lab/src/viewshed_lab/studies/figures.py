@@ -1,4 +1,4 @@
-"""Figures of the studies: violins, curves, what attacks do to single sweeps seen from above, the trade study."""
+"""Figures of the studies: violins, curves, single attacked sweeps from above, the trade study."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ from viewshed_lab.studies.statistics import precision
 Kind = Literal["returns", "truth", "probability", "deviation"]
 
 PALETTE = ("#000000", "#E69F00", "#56B4E9", "#8C564B", "#009E73", "#7FCC7F", "#CC79A7", "#0072B2", "#8FB8DE", "#D55E00")
-"""After Okabe and Ito (2008); styles of lines tell apart what the colors may not."""
+"""After Okabe and Ito (2008); line styles separate curves of similar colors."""
 
 DASHES = ("-", "--", ":", "-.")
 
 AGREE, OVER, UNDER, HIDDEN, OUTSIDE = (0.68, 0.84, 0.95), (0.84, 0.37, 0.0), (0.55, 0.24, 0.62), (0.86,) * 3, (1.0,) * 3
-"""Cells that both call visible, only the estimate, only the truth, none, and cells without truth."""
+"""Colors of cells that are visible by both, only the estimate, only the truth, neither, and of cells without truth."""
 
 _BENIGN, _ATTACKED = "#0072B2", "#D55E00"
 
@@ -50,54 +50,54 @@ _MAP_INCHES = 1.95
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Map:
-    """One picture from above."""
+    """One map from above."""
 
-    title: str  # of the picture
-    kind: Kind  # what the values are, which decides their colors
+    title: str  # of the map
+    kind: Kind  # kind of the values, which sets their colors
     values: NDArray[Any]  # (cells, cells), forward with the first index, left with the second
 
 
 def map_figure(rows: Mapping[str, Sequence[Map]]) -> bytes:
-    """Return a PNG of rows of pictures, each with its name at the left; all deviations have one scale."""
+    """Return a PNG of rows of maps, each row with its name at the left; all deviations share one scale."""
     across = max(map(len, rows.values()))
     figure = Figure(
         (across * _MAP_INCHES + 0.5, len(rows) * (_MAP_INCHES + 0.25) + 0.6), dpi=_DPI, layout="constrained"
     )
     axes = figure.subplots(len(rows), across, squeeze=False)
     deviations = [picture.values for row in rows.values() for picture in row if picture.kind == "deviation"]
-    most = max((float(values.max()) for values in deviations), default=0.0)
-    drawn: dict[Kind, Any] = {}
+    max_deviation = max((float(values.max()) for values in deviations), default=0.0)
+    images: dict[Kind, Any] = {}
     for line, (name, maps) in zip(axes, rows.items(), strict=True):
         line[0].set_ylabel(name, fontsize=9)
         for axis, picture in zip(line, maps, strict=False):
-            drawn[picture.kind] = _map(axis, picture, max(most, 1e-3))
-    half = across // 2 if "deviation" in drawn else across
+            images[picture.kind] = _map(axis, picture, max(max_deviation, 1e-3))
+    half = across // 2 if "deviation" in images else across
     for kind, columns in (("probability", axes[:, :half]), ("deviation", axes[:, half:])):
-        if kind in drawn:
-            bar = figure.colorbar(drawn[kind], ax=columns, location="bottom", shrink=0.6, aspect=40, pad=0.01)
+        if kind in images:
+            bar = figure.colorbar(images[kind], ax=columns, location="bottom", shrink=0.6, aspect=40, pad=0.01)
             bar.set_label("probability of visible" if kind == "probability" else "deviation", fontsize=8)
             bar.ax.tick_params(labelsize=7)
     return png_of(figure, _MAP_COLORS)
 
 
-def _map(axis: Axes, picture: Map, most: float) -> Any:
-    """Draw values with forward up and left on the left."""
+def _map(axis: Axes, picture: Map, max_deviation: float) -> Any:
+    """Draw a map with forward up and left on the left."""
     colors, high = _SCALES[picture.kind]
-    drawn = axis.imshow(
-        np.asarray(picture.values, np.float64)[::-1, ::-1], cmap=colors, vmin=0.0, vmax=most if high is None else high,
-        interpolation="nearest",
+    image = axis.imshow(
+        np.asarray(picture.values, np.float64)[::-1, ::-1], cmap=colors, vmin=0.0,
+        vmax=max_deviation if high is None else high, interpolation="nearest",
     )  # fmt: skip
     axis.set_title(picture.title, fontsize=8, pad=3)
     axis.set(xticks=[], yticks=[])
-    return drawn
+    return image
 
 
 def trade_figure(dots: Mapping[tuple[int, int, int], Mapping[str, float]], across: str, ups: Sequence[str]) -> bytes:
-    """Return a PNG with one panel for each figure of ``ups`` over ``across``: color resolution, mark depth, size width.
+    """Return a PNG with one panel per figure of ``ups`` over ``across``; colors are resolutions, markers are depths.
 
     Args:
-        dots: figures of each network by name, by its cells a side, poolings and channels of the first stage.
-        across: name of the figure on the horizontal axis, drawn with equal ratios.
+        dots: figures of each network by name, by its cells per side, poolings and channels of the first stage.
+        across: name of the figure on the horizontal axis, which is logarithmic.
         ups: names of the figures on the vertical axes.
     """
     figure = Figure((4.3 * len(ups), 4.3), dpi=_DPI, layout="constrained")
@@ -106,7 +106,7 @@ def trade_figure(dots: Mapping[tuple[int, int, int], Mapping[str, float]], acros
     for axis, up in zip(axes, ups, strict=True):
         for cells, color in zip(resolutions, PALETTE, strict=False):
             for depth, mark in zip(depths, MARKERS, strict=False):
-                # Networks of one resolution and depth are joined from narrow to wide.
+                # A line joins the networks of one resolution and depth, from narrow to wide.
                 widths = sorted(shape[2] for shape in dots if shape[:2] == (cells, depth))
                 places = [[dots[cells, depth, width][name] for width in widths] for name in (across, up)]
                 label = f"{cells} cells, depth {depth}, widths {', '.join(map(str, widths))}"
@@ -126,7 +126,7 @@ def trade_figure(dots: Mapping[tuple[int, int, int], Mapping[str, float]], acros
 
 
 def _decades(axis: Axes, values: Sequence[float]) -> None:
-    """Put ticks at 1, 2 and 5 of each decade in plain numbers."""
+    """Put ticks at 1, 2 and 5 of each decade, labeled with plain numbers."""
     low, high = min(values), max(values)
     ticks = [m * 10.0**e for e in range(-4, 6) for m in (1, 2, 5) if low / 1.6 <= m * 10.0**e <= high * 1.6]
     axis.set_xticks(ticks, [f"{tick:g}" for tick in ticks], fontsize=8)
@@ -134,25 +134,25 @@ def _decades(axis: Axes, values: Sequence[float]) -> None:
 
 
 CaseValue = Callable[[Domain[Any], str, Case], float]
-"""What a curve shows of a method in a case."""
+"""The value of a method in a case that a curve shows."""
 
 Violins = Mapping[str, tuple[F64, F64]]
-"""One panel: by label the values of all samples, (S,) benign and (T,) attacked; NaN is left out."""
+"""One panel: by label, the values of all samples, (S,) benign and (T,) attacked; NaN is left out."""
 
 Curves = Mapping[str, Mapping[str, float]]
-"""One panel: by label a value at each step, by the names of the steps; NaN leaves a gap."""
+"""One panel: by label and name of the step, a value; NaN leaves a gap."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PictureRow:
-    """One row of pictures: an attacked sweep over the truth, then what estimators make of it."""
+    """One row of pictures: an attacked sweep over the truth, then the claims of the estimators."""
 
     title: str  # of the row
     grid: BevGrid  # of the masks
     truth: Mask  # (cells, cells) bool
-    known: Mask  # (cells, cells) bool, where there is truth
+    known: Mask  # (cells, cells) bool, cells with truth
     points: NDArray[np.float32]  # (N, 2) x and y of the returns in meters
-    added: Mask  # (N,) bool, the attacker's
+    added: Mask  # (N,) bool, forged returns
     wedge: tuple[float, float] | None  # azimuth and width in radians, or None
     claims: Mapping[str, Mask]  # by estimator, (cells, cells) bool
 
@@ -161,9 +161,9 @@ def violins_of(domain: Domain[Any], methods: Mapping[str, str], attacked: Sequen
     """Return panels of precision and AUPRC of the single sweeps of a domain, by title.
 
     Args:
-        domain: of the sweeps.
-        methods: by what they are called below the violins.
-        attacked: the cases beside the benign one, all together.
+        domain: results of the sweeps.
+        methods: names of the methods by label.
+        attacked: the attacked cases, which share one side of the violins.
     """
 
     def precisions(method: str, case: Case) -> F64:
@@ -197,12 +197,12 @@ def violin_figure(panels: Mapping[str, Violins], across: int, attacked: str) -> 
 
 
 def _half(axis: Axes, values: F64, position: int, side: Any, color: str) -> None:
-    """Half a violin; values that hardly differ have no density and are a line."""
+    """Draw half a violin and its median; values that hardly differ have no density and are only a line."""
     if len(values) == 0:
         return
     if np.ptp(values) > 1e-6:
-        drawn: Any = axis.violinplot([values], [position], widths=0.85, showextrema=False, side=side)
-        for body in drawn["bodies"]:
+        violin: Any = axis.violinplot([values], [position], widths=0.85, showextrema=False, side=side)
+        for body in violin["bodies"]:
             body.set(facecolor=color, edgecolor="none", alpha=0.55)
     reach = (-0.3, 0.0) if side == "low" else (0.0, 0.3)
     median = float(np.median(values))
@@ -210,12 +210,12 @@ def _half(axis: Axes, values: F64, position: int, side: Any, color: str) -> None
 
 
 def curves_of(domain: Domain[Any], methods: Sequence[str], cases: Mapping[str, Case], value: CaseValue) -> Curves:
-    """Return the curve of a value of each method over some cases, which are the steps by name."""
+    """Return one curve per method of a value over some cases; ``cases`` are the steps by name."""
     return {name: {step: value(domain, name, case) for step, case in cases.items()} for name in methods}
 
 
 def curve_figure(panels: Mapping[str, Curves], across: int, label: str) -> bytes:
-    """Return a PNG of curves, one panel each with ``label`` at the vertical axis and one legend for all."""
+    """Return a PNG of panels of curves with ``label`` at the vertical axis and a common legend."""
     across = max(3, min(across, len(panels)))
     figure, axes = _page(len(panels), across, (2.7, 2.15), legend=0.75)
     names = list(dict.fromkeys(name for panel in panels.values() for name in panel))
@@ -238,7 +238,7 @@ def _line(number: int) -> dict[str, Any]:
 
 
 def scene_figure(scenes: Sequence[PictureRow]) -> bytes:
-    """Return a PNG of one row for each scene: the truth with returns, the attacker's in red, then the estimators."""
+    """Return a PNG with one row per scene: the truth with returns, forged ones in red, then the estimators."""
     names = list(dict.fromkeys(name for scene in scenes for name in scene.claims))
     figure, axes = _page(len(scenes) * (len(names) + 1), len(names) + 1, (1.75, 1.75), legend=0.35)
     for row, scene in enumerate(scenes):
@@ -303,12 +303,12 @@ def _page(panels: int, across: int, size: tuple[float, float], legend: float = 0
 
 
 def png_of(figure: Figure, colors: int | None = None) -> bytes:
-    """Return the figure as a PNG, with few colors if their number is given: some hundred kilobytes less."""
-    drawn, buffer = io.BytesIO(), io.BytesIO()
+    """Return the figure as a PNG; a palette of ``colors`` saves some hundred kilobytes."""
+    full, buffer = io.BytesIO(), io.BytesIO()
     FigureCanvasAgg(figure)
-    figure.savefig(drawn, format="png")
+    figure.savefig(full, format="png")
     if colors is None:
-        return drawn.getvalue()
-    image = Image.open(drawn).convert("RGB").quantize(colors, dither=Image.Dither.NONE)
+        return full.getvalue()
+    image = Image.open(full).convert("RGB").quantize(colors, dither=Image.Dither.NONE)
     image.save(buffer, format="png", optimize=True)
     return buffer.getvalue()

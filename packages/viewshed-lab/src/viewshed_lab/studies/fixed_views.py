@@ -1,6 +1,6 @@
-"""Fields of view that no return changes, as earlier work on many agents assumes them: a circle, a cone.
+"""Fixed fields of view, a circle and a cone, as assumed in earlier work on many agents; they ignore the sweep.
 
-They are the floor of every table of methods: whoever does not beat them has learned nothing from the sweep.
+They are the lower bound in every table of methods: a method that does not beat them learns nothing from the sweep.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from viewshed.preprocess.leveling import LeveledSweep
 
 @dataclass(frozen=True, slots=True)
 class FixedView(ClassicalEstimator):
-    """Everything within a range and an opening about forward is visible, whatever hides it."""
+    """Everything within a range and an opening around forward is visible, regardless of occlusion."""
 
     grid: BevGrid  # of the estimate
-    target: Target = CAR  # that would have to be seen; it changes nothing
-    range_m: float = 70.0  # how far is seen, horizontally
-    opening_deg: float = 360.0  # whole opening, in (0, 360]
+    target: Target = CAR  # not used
+    range_m: float = 70.0  # horizontal
+    opening_deg: float = 360.0  # full opening, in (0, 360]
     name: str = "circle"  # of the estimator
 
     def visible_prob(self, leveled: LeveledSweep, history: History | None) -> NDArray[np.float32]:
@@ -41,4 +41,4 @@ FIXED_VIEWS: dict[str, EstimatorFactory] = {
     "circle": FixedView,
     "cone": partial(FixedView, opening_deg=120.0, name="cone"),
 }
-"""By name: 70 m about the sensor, the range of the published ray trace; and a third of it, about forward."""
+"""By name: 70 m around the sensor, the range of the published ray trace; and a third of that circle, around forward."""

@@ -1,4 +1,4 @@
-"""Figures as words, and tables made of them."""
+"""Formats figures as text, and builds tables from them."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ C = TypeVar("C")
 
 
 def format_rate(rate: float, digits: int = 3) -> str:
-    """Return a rate without its leading zero; a dash for none.
+    """Return a rate without its leading zero; a dash for NaN.
 
     >>> format_rate(0.12349), format_rate(0.954, 2), format_rate(1.0), format_rate(float("nan"))
     ('.123', '.95', '1.000', '–')
@@ -27,7 +27,7 @@ def format_rate(rate: float, digits: int = 3) -> str:
 
 
 def format_rates(*rates: float) -> str:
-    """Return rates with slashes between them.
+    """Return rates separated by slashes.
 
     >>> format_rates(0.5, 0.25)
     '.500 / .250'
@@ -36,7 +36,7 @@ def format_rates(*rates: float) -> str:
 
 
 def format_number(value: float, digits: int) -> str:
-    """Return a number with its leading zero; a dash for none.
+    """Return a number with its leading zero; a dash for NaN.
 
     >>> format_number(0.01234, 4), format_number(float("nan"), 4)
     ('0.0123', '–')
@@ -45,16 +45,16 @@ def format_number(value: float, digits: int) -> str:
 
 
 CALIBRATION = ("ECE", "Brier", "AURC", "AURC by deviation")
-"""How good probabilities and deviations are; less is better."""
+"""Calibration metrics of probabilities and deviations; lower is better."""
 
 
 def calibration_of(scores: Scores) -> list[str]:
-    """Return the figures of ``CALIBRATION`` as words."""
+    """Return the metrics of ``CALIBRATION`` as text."""
     return [format_number(value, 4) for value in (scores.ece(), scores.brier(), scores.aurc(), scores.aurc_std())]
 
 
 def mean(rates: Iterable[float]) -> float:
-    """Return the mean of those rates that are known; NaN where none is.
+    """Return the mean of the rates that are not NaN; NaN without any.
 
     >>> mean([0.5, float("nan"), 1.0])
     0.75
@@ -73,13 +73,13 @@ def format_interval(rate: float, bounds: tuple[float, float]) -> str:
 
 
 def share_interval(count: int, trials: int, method: Literal["exact", "wilson"] = "exact") -> tuple[float, float]:
-    """Return the 95 % interval of a share: of Clopper and Pearson (1934), or of Wilson (1927)."""
+    """Return the 95 % confidence interval of a share, by Clopper and Pearson (1934) or Wilson (1927)."""
     low, high = binomtest(count, trials).proportion_ci(method=method)
     return float(low), float(high)
 
 
 def format_share(flags: Collection[bool], method: Literal["exact", "wilson"] = "exact") -> str:
-    """Return the share of flags that are set with its interval; a dash where there are none.
+    """Return the share of set flags with its 95 % interval; a dash without flags.
 
     >>> format_share([True, False, False, False])
     '.250 [.006, .806]'
@@ -89,26 +89,26 @@ def format_share(flags: Collection[bool], method: Literal["exact", "wilson"] = "
 
 
 def format_spread(rate: float, bounds: tuple[float, float]) -> str:
-    """Return a rate with half the width of its interval, or alone where there is none."""
+    """Return a rate with half the width of its interval, or alone without an interval."""
     low, high = bounds
     return format_rate(rate) if isnan(low) else f"{format_rate(rate)} ±{format_rate((high - low) / 2)}"
 
 
 def commits(*results: Results[Any]) -> str:
-    """Return the commits of the code that did the jobs of some results."""
+    """Return the commits of the code that produced some results."""
     return ", ".join(sorted({commit[:7] for one in results for commit in one.commits})) or "unknown"
 
 
 def pivot(
     corner: str, rows: Mapping[str, R], columns: Mapping[str, C], value: Callable[[R, C], str], best: str = ""
 ) -> Table:
-    """Return a table of a value for each row and column.
+    """Return a table with one value per row and column.
 
     Args:
-        corner: heads the names of the rows.
-        rows: by name, what the value is given of a row.
-        columns: by name, what it is given of a column.
-        value: of one cell, as words.
+        corner: header of the row names.
+        rows: by name, the first argument of ``value``.
+        columns: by name, the second argument of ``value``.
+        value: returns one cell as text.
         best: ``row`` or ``column``: the largest figure of each is bold.
     """
     cells = [[name, *(value(row, column) for column in columns.values())] for name, row in rows.items()]
@@ -118,28 +118,28 @@ def pivot(
 
 
 def by_name(names: Iterable[str]) -> dict[str, str]:
-    """Return rows or columns of a pivot that are called what they are."""
+    """Return rows or columns of a pivot whose names are their values."""
     return {name: name for name in names}
 
 
 def lines(corner: str, rows: Mapping[str, R], columns: Mapping[str, Callable[[R], str]]) -> Table:
-    """Return a table of one line a row, with a figure of its own in each column; see :func:`pivot`."""
+    """Return a table with one line per row and a function of the row per column; see :func:`pivot`."""
     return pivot(corner, rows, columns, lambda row, figure: figure(row))
 
 
 def best_of_row(row: Sequence[str]) -> list[str]:
-    """Return a row with its largest figure in bold, its name apart; cells begin with their figure.
+    """Return a row with its largest figure in bold; the first cell is a name, the others start with a figure.
 
     >>> best_of_row(["a", ".912 ±.004", ".930 ±.010", "–"])
     ['a', '.912 ±.004', '**.930 ±.010**', '–']
     """
     figures = [_figure(cell) for cell in row[1:]]
-    most = max(figures, default=-1.0)
-    return [*row[:1], *(f"**{c}**" if f == most >= 0 else c for c, f in zip(row[1:], figures, strict=True))]
+    largest = max(figures, default=-1.0)
+    return [*row[:1], *(f"**{c}**" if f == largest >= 0 else c for c, f in zip(row[1:], figures, strict=True))]
 
 
 def best_of_columns(rows: Sequence[Sequence[str]], *, ties: bool = True) -> list[list[str]]:
-    """Return rows with the largest figure of each column in bold; without ``ties`` not where all are equal.
+    """Return rows with the largest figure of each column in bold; without ``ties``, not if all are equal.
 
     >>> best_of_columns([["a", ".1", ".7"], ["b", ".2", ".3"]])
     [['a', '.1', '**.7**'], ['b', '**.2**', '.3']]

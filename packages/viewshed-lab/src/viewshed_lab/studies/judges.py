@@ -1,7 +1,7 @@
-"""Estimators against truth that nobody here made: a city's surveyed ground, and boxes that people drew.
+"""Compares estimators with independent truth: a city's surveyed ground, and boxes that people drew.
 
-A claim needs ground to stand on: where the surveyed ground lies elsewhere, the claim is of another place. A box of
-which the sensor has enough returns was visible; one without a return was not. The bottom of a box lies on the ground.
+A claim is only right if the estimated ground is: where the surveyed ground is at another height, the claim is about
+another place. A box with enough returns was visible; one without any was not. The bottom of a box is on the ground.
 """
 
 from __future__ import annotations
@@ -31,20 +31,20 @@ from viewshed_lab.studies.pages import Table, fill_template
 OnError = Callable[[str, Exception], None]
 
 OFF_M = 0.3
-"""A claim on ground that lies farther than this from the surveyed one is of another place."""
+"""A claim is off if its ground differs from the surveyed ground by more than this."""
 
 BANDS_M = ((0.0, 16.0), (16.0, 32.0), (32.0, 48.0), (48.0, 64.0))
 
 VEHICLE_M = (3.0, 1.4, 1.2)
-"""A box at least as long, wide and high as this counts as a vehicle, whatever its data set calls it."""
+"""Minimum length, width and height of a vehicle, whatever the class in its data set."""
 
 _INSIDE_M = 0.3
-"""A box is looked up this far behind the point of it that is nearest to the sensor."""
+"""A box is looked up this far behind its point nearest to the sensor."""
 
 _CATCH_M = 0.1
-"""Returns this far outside of a box are still of it: boxes are drawn to a few centimeters."""
+"""Margin around a box when its returns are counted: boxes are drawn to a few centimeters."""
 
-_MOST_BYTES = 200_000_000
+_MAX_BYTES = 200_000_000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,15 +52,15 @@ class SurveyedGround:
     """Ground of a city on a raster, NaN where it was not surveyed."""
 
     z_m: F64  # (rows, columns) float64 height in the city's frame
-    shift_m: F64  # is added to x and y in the city, ...
-    per_m: float  # ... and the sum is multiplied by this: column and row
+    shift_m: F64  # (2,) column and row are ((x, y) + shift_m) * per_m in the city's frame
+    per_m: float  # pixels per meter
 
     @classmethod
     def read(cls, log: Path) -> Self:
-        """Return the ground of an Argoverse 2 log, which its folder ``map`` holds.
+        """Return the surveyed ground in the folder ``map`` of an Argoverse 2 log.
 
         Raises:
-            ValueError: it is not there, or damaged.
+            ValueError: a file is missing or damaged.
         """
         rasters, places = (
             sorted((log / "map").glob(name)) for name in ("*_ground_height_surface_*.npy", "*_Sim2_city.json")
@@ -71,20 +71,20 @@ class SurveyedGround:
                 f" got {len(rasters)} and {len(places)}"
             )
         with open_input(places[0]) as source:
-            place = json.loads(source.content(_MOST_BYTES))
+            place = json.loads(source.content(_MAX_BYTES))
             if not isinstance(place, dict) or [float(r) for r in place["R"]] != [1.0, 0.0, 0.0, 1.0]:
                 raise ValueError("R must be the identity; a turned raster is not read")
             shift_m, per_m = np.array(place["t"], np.float64), float(place["s"])
         with open_input(rasters[0]) as source:
-            if source.size > _MOST_BYTES:
-                raise ValueError(f"must be at most {_MOST_BYTES} bytes, got {source.size}")
+            if source.size > _MAX_BYTES:
+                raise ValueError(f"must be at most {_MAX_BYTES} bytes, got {source.size}")
             z_m = np.load(source.file, allow_pickle=False).astype(np.float64)
         if z_m.ndim != 2 or shift_m.shape != (2,):
             raise ValueError(f"{rasters[0]}: must have rows and columns, got shape {z_m.shape}")
         return cls(z_m, shift_m, per_m)
 
     def at(self, xyz: F64) -> F64:
-        """Return the height (…,) below or above points (…, 3) of the city; NaN where it was not surveyed."""
+        """Return the ground height (…,) at points (…, 3) of the city's frame; NaN where it was not surveyed."""
         column, row = np.moveaxis(np.floor((xyz[..., :2] + self.shift_m) * self.per_m).astype(np.int64), -1, 0)
         rows, columns = self.z_m.shape
         is_on = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
@@ -92,10 +92,10 @@ class SurveyedGround:
 
 
 def ground_table(sweeps: Sequence[pd.DataFrame]) -> Table:
-    """Return a table of seen and unseen ground by range, of the errors of several sweeps."""
-    every = pd.concat(sweeps)
+    """Return the table of ground errors of several sweeps, for seen and unseen ground by range."""
+    rows = pd.concat(sweeps)
     parts = {
-        f"{word}, {low:g} to {high:g} m": every[(every["seen"] == seen) & every["range_m"].between(low, high, "left")]
+        f"{word}, {low:g} to {high:g} m": rows[(rows["seen"] == seen) & rows["range_m"].between(low, high, "left")]
         for word, seen in (("seen", True), ("unseen", False))
         for low, high in BANDS_M
     }
@@ -116,7 +116,7 @@ def survey_page(log: Path, source: SweepSource, estimators: Mapping[str, FovEsti
         ValueError: the log has no surveyed ground, no sweep or no pose; the message names the file.
     """
     grid, errors = GRIDS["road"], list[pd.DataFrame]()
-    # Claimed cells, of these on surveyed ground, and of these on ground that lies elsewhere, by band.
+    # By band: claimed cells, those of them on surveyed ground, and those of these that are off.
     claims = {name: np.zeros((3, len(BANDS_M))) for name in estimators}
     sweeps = list[tuple[Sweep, Sequence[ObjectBox]]]()
     range_m = np.hypot(grid.centers[..., 0], grid.centers[..., 1])
@@ -140,9 +140,9 @@ def survey_page(log: Path, source: SweepSource, estimators: Mapping[str, FovEsti
 def surveyed(
     log: Path, source: SweepSource, grid: BevGrid
 ) -> Iterator[tuple[Sweep, Sequence[ObjectBox], LeveledSweep, F64]]:
-    """Yield the sweeps of an Argoverse 2 log with their boxes, leveled, and the error (cells, cells) of their ground.
+    """Yield the sweeps of an Argoverse 2 log with boxes, the leveled sweep, and the ground error (cells, cells).
 
-    The error is by how many meters the estimated ground lies above the surveyed one, NaN where there is none.
+    The error is estimated minus surveyed height in meters, NaN where there is no survey.
     """
     survey = SurveyedGround.read(log)
     for sweep, boxes in annotated(source, None):
@@ -152,19 +152,18 @@ def surveyed(
                 f"{log}: every sweep must have a pose, got one without; look at city_SE3_egovehicle.feather"
             )
         ground_m = leveled.ground.at(grid.centers).astype(np.float64)
-        there = leveled.world_from_level @ np.dstack([grid.centers, ground_m])
-        # An upright frame: a height in the level frame differs from one in the city by the sensor's place alone.
-        yield sweep, boxes, leveled, there[..., 2] - survey.at(there)
+        in_city = leveled.world_from_level @ np.dstack([grid.centers, ground_m])
+        yield sweep, boxes, leveled, in_city[..., 2] - survey.at(in_city)
 
 
 def boxes_page(
     place: Path, source: SweepSource, estimators: Mapping[str, FovEstimator], target: Target, limit: int,
     on_error: OnError,
 ) -> str:  # fmt: skip
-    """Return the page of a recording with annotated boxes; sweeps that cannot be read are reported and left out.
+    """Return the page of a recording with annotated boxes; unreadable sweeps are reported and skipped.
 
     Raises:
-        ValueError: nobody drew boxes in it.
+        ValueError: the recording has no annotated boxes.
     """
     sweeps = list(annotated(source, limit, on_error))
     if not any(boxes for _, boxes in sweeps):
@@ -179,28 +178,29 @@ def boxes_page(
 def annotated(
     source: SweepSource, limit: int | None, on_error: OnError | None = None
 ) -> Iterable[tuple[Sweep, Sequence[ObjectBox]]]:
-    """Yield sweeps of a recording with their boxes: keyframes, at most ``limit``, spread evenly.
+    """Yield sweeps of a recording with their boxes: at most ``limit`` keyframes, spread evenly.
 
-    ``on_error`` takes the file and the error of what cannot be read, and the rest goes on; without it that is raised.
+    ``on_error`` is called with the file and the error of an unreadable sweep, which is skipped; without it the error
+    is raised.
     """
     refs = [ref for scene in source.scenes() for ref in source.refs(scene) if ref.keyframe]
     count = len(refs) if limit is None else min(limit, len(refs))
     for ref in (refs[k * len(refs) // count] for k in range(count)):
         try:
-            found = source.read(ref), source.boxes(ref) or ()
+            sweep, boxes = source.read(ref), source.boxes(ref) or ()
         except (ValueError, OSError) as error:
             if on_error is None:
                 raise
             on_error(ref.file, error)
         else:
-            yield found
+            yield sweep, boxes
 
 
 def ground_errors(leveled: LeveledSweep, xy: F64, error_m: F64) -> pd.DataFrame:
-    """Return errors (N,) of a sweep's ground at places (N, 2), level frame, with what the estimate states there.
+    """Return a table of the errors (N,) of a sweep's ground at places (N, 2) in the level frame.
 
-    Columns: absolute error ``off_m``; the standard deviation ``std_m`` that the estimate states; ``seen``, whether it
-    rests on returns there; and ``range_m`` from the sensor.
+    Columns: absolute error ``off_m``; estimated standard deviation ``std_m``; ``seen``, whether the estimate there
+    rests on returns; and ``range_m`` from the sensor.
     """
     ground = leveled.ground
     nodes = BevGrid(len(ground.heights_m), ground.half_extent_m)
@@ -216,13 +216,13 @@ def _box_tables(
     estimators: Mapping[str, FovEstimator],
     target: Target,
 ) -> dict[str, Any]:
-    """Return the tables of vehicles with enough returns, of those without one, and of the ground below all boxes."""
+    """Return the tables of vehicles with enough returns, of those without any, and of the ground below all boxes."""
     rows: list[tuple[str, int, float, bool]] = []
     errors: list[pd.DataFrame] = []
     left_out = 0
     for sweep, boxes in sweeps:
         leveled = level(sweep, GRIDS["road"])
-        # Without a pose the boxes are in the sensor's frame.
+        # Without a pose, the boxes are in the sensor's frame.
         level_from_world = leveled.level_from_sensor @ (sweep.world_from_sensor or Rigid.identity()).inverse()
         within = [box for box in boxes if np.hypot(*(level_from_world @ box.center)[:2]) < BANDS_M[-1][1]]
         if within:
@@ -233,54 +233,54 @@ def _box_tables(
                 ground_errors(leveled, bottoms[:, :2], leveled.ground.at(bottoms).astype(np.float64) - bottoms[:, 2])
             )
         vehicles = [
-            box for box in within if all(size >= least for size, least in zip(box.size_m, VEHICLE_M, strict=True))
+            box for box in within if all(size >= minimum for size, minimum in zip(box.size_m, VEHICLE_M, strict=True))
         ]
         returns = [judged_returns(box, sweep) for box in vehicles]
         left_out += sum(0 < count < target.min_returns for count in returns)
         near = np.array([near_point(level_from_world, box) for box in vehicles])
         for name, estimator in estimators.items() if vehicles else ():
             claimed = np.nan_to_num(estimator.estimate(sweep).at(near)) >= THRESHOLD
-            rows += [(name, *one) for one in zip(returns, np.hypot(*near.T), claimed, strict=True)]
-    found = pd.DataFrame(rows, columns=["method", "returns", "range_m", "claimed"])
+            rows += [(name, *row) for row in zip(returns, np.hypot(*near.T), claimed, strict=True)]
+    vehicle_rows = pd.DataFrame(rows, columns=["method", "returns", "range_m", "claimed"])
 
-    def shares(of: pd.DataFrame) -> Table:
+    def shares(part: pd.DataFrame) -> Table:
         """Return the share of vehicles that stand in claimed cells, by method and range."""
 
         def share(name: str, band: tuple[float, float]) -> str:
-            some = of["claimed"][(of["method"] == name) & of["range_m"].between(*band, "left")]
-            return f"{format_rate(float(some.mean()))} of {len(some)}" if len(some) else "–"
+            claimed = part["claimed"][(part["method"] == name) & part["range_m"].between(*band, "left")]
+            return f"{format_rate(float(claimed.mean()))} of {len(claimed)}" if len(claimed) else "–"
 
         heads = {f"{low:g} to {high:g} m": (low, high) for low, high in BANDS_M}
         return pivot("", by_name(estimators), heads, share)
 
     return {
-        "seen": shares(found[found["returns"] >= target.min_returns]),
-        "without": shares(found[found["returns"] == 0]),
+        "seen": shares(vehicle_rows[vehicle_rows["returns"] >= target.min_returns]),
+        "without": shares(vehicle_rows[vehicle_rows["returns"] == 0]),
         "bottoms": ground_table(errors) if errors else None,
         "left_out": left_out,
     }
 
 
 def judged_returns(box: ObjectBox, sweep: Sweep) -> int:
-    """Return how many returns a box has by those who drew it, or as they are counted here where they do not say.
+    """Return the number of returns in a box: the annotated one, or without it the counted one.
 
-    Where they say none and some lie at the edge of the box, it is 1: too few to be visible, too many to be hidden.
+    If the annotation is 0 but returns lie at the edge of the box, it is 1: too few for visible, too many for hidden.
     """
     counted = returns_in(box, sweep)
     return counted if box.returns is None else box.returns or min(counted, 1)
 
 
 def returns_in(box: ObjectBox, sweep: Sweep) -> int:
-    """Return how many returns of a sweep lie in a box, or within a few centimeters of it."""
+    """Return the number of returns of a sweep in a box, with a margin of ``_CATCH_M``."""
     sensor_from_world = (sweep.world_from_sensor or Rigid.identity()).inverse()
     inside = (sensor_from_world @ box.world_from_box).inverse() @ sweep.points.astype(np.float64)
     return int((np.abs(inside) <= np.array(box.size_m) / 2 + _CATCH_M).all(axis=1).sum())
 
 
 def near_point(level_from_world: Rigid, box: ObjectBox) -> F64:
-    """Return the point (2,) of the level frame at which a box is looked up: just behind its side nearest to the sensor.
+    """Return the point (2,) in the level frame at which a box is looked up: just inside its side toward the sensor.
 
-    A vehicle hides its own middle.
+    Its center is no use, as a vehicle hides its own center.
     """
     level_from_box = level_from_world @ box.world_from_box
     half = np.array(box.size_m) / 2
@@ -294,7 +294,7 @@ def near_point(level_from_world: Rigid, box: ObjectBox) -> F64:
 
 
 def _off_table(claims: Mapping[str, F64]) -> Table:
-    """Return the share of the claims on surveyed ground that are off, by band."""
+    """Return the table of the share of claims on surveyed ground that are off, by method and band."""
     heads = {f"{low:g} to {high:g} m": k for k, (low, high) in enumerate(BANDS_M)}
 
     def share(counts: F64, band: int) -> str:
@@ -305,7 +305,7 @@ def _off_table(claims: Mapping[str, F64]) -> Table:
 
 
 def _unknown_share(claims: Mapping[str, F64]) -> str:
-    """Return which share of all claims stands on ground that nobody surveyed, as words."""
+    """Return the share of all claims on ground that was not surveyed, as text."""
     cells, surveyed, _ = sum(counts.sum(axis=1) for counts in claims.values())
     return format_rate(1.0 - surveyed / cells, 2) if cells else "–"
 

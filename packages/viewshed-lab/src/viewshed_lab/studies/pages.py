@@ -1,7 +1,7 @@
-"""Pages of results: Jinja2 templates of the package, whose expressions are tables, pictures, words, or None.
+"""Pages of results from Jinja2 templates of the package, whose expressions are tables, pictures, text, or None.
 
-Where a template shows None, the texts right above it are left out as well, and so is a section with None that shows
-neither table nor picture. A template need not ask whether there is something to show.
+An expression that is None also removes the text blocks right above it, and a section with None that has neither table
+nor picture is removed. So templates need no conditions.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _NONE = "<!-- none -->"
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """A table of plain words; what is bold is in asterisks."""
+    """A table of plain text; bold text is in asterisks."""
 
     header: Sequence[str]
     rows: Sequence[Sequence[str]]
@@ -32,7 +32,7 @@ class Table:
 
 @dataclass(frozen=True, slots=True)
 class Picture:
-    """A PNG with the name of its file and what it shows."""
+    """A PNG with its file name and alternative text."""
 
     name: str
     png: bytes
@@ -44,23 +44,23 @@ class Picture:
 
 @dataclass(frozen=True, slots=True)
 class Page:
-    """A page as Markdown, and the PNGs that it shows by the names of their files."""
+    """A page as Markdown, and its PNGs by file name."""
 
     title: str
     body: str
     pictures: Mapping[str, bytes]
 
     def markdown(self, provenance: Mapping[str, str]) -> str:
-        """Return the page with its three numbers on top and at its end how it was made."""
+        """Return the page as Markdown, with its provenance."""
         return page(self.title, provenance, self.body)
 
     def files(self, name: str, provenance: Mapping[str, str]) -> dict[str, bytes]:
-        """Return the files of the page: its pictures, then the Markdown as ``name``."""
+        """Return the files of the page by name: its pictures, then the Markdown as ``name``."""
         return {**self.pictures, name: self.markdown(provenance).encode()}
 
 
 def fill_template(path: str, **values: Any) -> Page:
-    """Return the page of a template, a file in the folder of the studies, whose first line is the title."""
+    """Return the page of a template file in the folder of the studies; its first line is the title."""
     pictures: dict[str, bytes] = {}
 
     def shown(value: Any) -> str:
@@ -86,7 +86,7 @@ def _blocks(markdown: str) -> list[str]:
 
 
 def _without_empty(blocks: Sequence[str]) -> list[str]:
-    """Return the blocks less the sections that show nothing, and less the texts right above what shows nothing."""
+    """Return the blocks without empty sections, without empty values, and without the text right above these."""
     kept: list[str] = []
     end = 0
     for position, block in enumerate(blocks):
@@ -103,7 +103,7 @@ def _without_empty(blocks: Sequence[str]) -> list[str]:
 
 
 def _section(blocks: Sequence[str]) -> Sequence[str]:
-    """Return the section that the first of the blocks heads, up to the next heading that is as high."""
+    """Return the section that starts at the first block, a heading, up to the next heading of the same level."""
     level = depth_of(blocks[0])
     ends = (k for k, block in enumerate(blocks) if k and 0 < depth_of(block) <= level)
     return blocks[: next(ends, len(blocks))]

@@ -1,4 +1,4 @@
-"""What every study's plan is: a flat TOML file of the package, whose jobs have names."""
+"""Base class of the plans of studies: a flat TOML file of the package, with a list of named jobs."""
 
 from __future__ import annotations
 
@@ -9,29 +9,29 @@ from viewshed_lab import _config
 from viewshed_lab.data.presets import MAX_SEED
 
 JobKey = tuple[str, ...]
-"""Names of a job: its step, then what tells it from the others of that step."""
+"""Names of a job: its step, then its names within the step."""
 
 
 class Plan:
-    """What a study runs: each study's plan is a frozen dataclass that checks its values when it is made."""
+    """What a study runs; each subclass is a frozen dataclass that validates its values."""
 
     __slots__ = ()
 
     FOLDER: ClassVar[str]
-    """Of the TOML files, in the package."""
+    """Folder of the TOML files in the package."""
 
     WHOLE_TABLES: ClassVar[Mapping[str, Iterable[str]]] = {}
-    """By key the names that ``all`` stands for."""
+    """By key, the names that the value ``all`` stands for."""
 
     name: str
-    """Of the plan."""
+    """Name of the plan."""
 
     about: str
-    """One line for people."""
+    """One-line description."""
 
     @classmethod
     def from_json(cls, table: Mapping[str, Any]) -> Self:
-        """Return the plan in plain values: keys as the attributes, lists for tuples.
+        """Return the plan from plain values: attributes as keys, lists for tuples.
 
         Raises:
             ValueError: a key is missing or unknown, or a value is wrong.
@@ -39,7 +39,7 @@ class Plan:
         return cls(**_config.from_dict(cls, table, "plan", cls.WHOLE_TABLES))
 
     def to_json(self) -> dict[str, Any]:
-        """Return the plan as plain values, every name spelt out."""
+        """Return the plan as plain values, with ``all`` replaced by the names."""
         return _config.to_dict(self)
 
     @classmethod
@@ -47,23 +47,23 @@ class Plan:
         """Return the plan called ``name``.
 
         Raises:
-            ValueError: there is none of that name; the message lists those that exist.
+            ValueError: there is no such plan; the message lists those that exist.
         """
         return cls.from_json(_config.load_preset(cls.FOLDER, name))
 
     def job_keys(self) -> list[JobKey]:
-        """Return the names of all jobs, in the order in which they are done."""
+        """Return the keys of all jobs, in the order in which they run."""
         raise NotImplementedError
 
-    def check_at_least(self, least: int, *keys: str) -> None:
-        """Raise a ValueError unless the numbers of some keys are large enough."""
+    def check_at_least(self, minimum: int, *keys: str) -> None:
+        """Raise a ValueError unless the values of some keys are at least ``minimum``."""
         for key in keys:
-            if getattr(self, key) < least:
-                raise ValueError(f"{key} must be at least {least}, got {getattr(self, key)}")
+            if getattr(self, key) < minimum:
+                raise ValueError(f"{key} must be at least {minimum}, got {getattr(self, key)}")
 
 
 def check_names(key: str, names: Iterable[object], table: Iterable[object], *, once: bool = False) -> None:
-    """Raise a ValueError unless all names are in a table; with ``once`` also unless there are some, all different."""
+    """Raise a ValueError unless all names are in a table; with ``once`` they must also be unique and not empty."""
     known, given = list(table), list(names)
     for name in given:
         if isinstance(name, bool) or name not in known:

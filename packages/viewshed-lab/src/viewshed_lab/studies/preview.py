@@ -1,4 +1,4 @@
-"""A look at what a preset simulates: worlds, sweeps and truths of a few samples on one sheet."""
+"""Preview of a preset: worlds, sweeps and truths of a few simulated samples in one picture."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from viewshed_lab.sim.world import GROUND, Snapshot, World
 from viewshed_lab.studies.figures import png_of
 
 SIDE = 256
-"""Pixels along each side of a view from above."""
+"""Pixels per side of a view from above."""
 
 DIFFERENCES = {
     "nobody": (0.42, 0.42, 0.47),
@@ -39,23 +39,23 @@ DIFFERENCES = {
     "farthest, not probe": (0.84, 0.37, 0.0),
     "line_of_sight only": (0.94, 0.89, 0.26),
 }
-"""Colors of who calls a cell visible for a car; `probe` is the project's own definition."""
+"""Colors by which definitions call a cell visible for a car; `probe` is the project's own definition."""
 
 NOT_KNOWN = (1.0, 0.94, 0.78)
-"""Color of cells whose truth is not known."""
+"""Color of cells without truth."""
 
 HEADINGS = (
     "world from above", "sweep: height above ground", "truth: car", "truth: pedestrian", "who says visible, for a car",
 )  # fmt: skip
 
-_SCENES = 500
+_SCENES = 500  # scenes that are searched for each kind of world
 
 _INCHES = 2.6
-"""Side of a picture."""
+"""Side of one view."""
 
 
 def plan_view(world: World, snapshot: Snapshot, world_from_level: Rigid, grid: BevGrid) -> F32:
-    """Return the colors (SIDE, SIDE, 3) of the world from above: higher solids over lower ones."""
+    """Return the colors (SIDE, SIDE, 3) of the world from above, higher solids on top of lower ones."""
     fine = BevGrid(SIDE, grid.half_extent_m, grid.offset_m)
     xy = (world_from_level @ np.dstack([fine.centers, np.zeros(fine.shape)]))[..., :2]
     image = _ground_colors(world.terrain, xy, fine.cell_m, world_from_level.yaw)
@@ -73,7 +73,7 @@ def plan_view(world: World, snapshot: Snapshot, world_from_level: Rigid, grid: B
 
 
 def _ground_colors(terrain: Terrain, xy: F64, step_m: float, yaw: float) -> F32:
-    """Return ground colors of the pixels, lit from one side so that slopes and curbs show."""
+    """Return the ground colors of the pixels, shaded from one side to show slopes and curbs."""
     i = np.clip(np.searchsorted(terrain.x_m, xy[..., 0], "right") - 1, 0, len(terrain.x_m) - 2)
     j = np.clip(np.searchsorted(terrain.y_m, xy[..., 1], "right") - 1, 0, len(terrain.y_m) - 2)
     material = terrain.material[i, j]
@@ -85,7 +85,7 @@ def _ground_colors(terrain: Terrain, xy: F64, step_m: float, yaw: float) -> F32:
 
 
 def _footprint(snapshot: Snapshot, k: int, xy: F64, step_m: float) -> tuple[tuple[slice, slice], NDArray[np.bool_]]:
-    """Return the window of pixels around a solid and which of them it covers; the nearest one if it is small."""
+    """Return the window of pixels around a solid and the mask of those it covers; at least the nearest one."""
     half = np.maximum(snapshot.half_m[k, :2], 0.6 * step_m)
     (ax, ay), corner = xy[1, 0] - xy[0, 0], xy[0, 0]
     offset = snapshot.center_m[k, :2] - corner
@@ -98,7 +98,7 @@ def _footprint(snapshot: Snapshot, k: int, xy: F64, step_m: float) -> tuple[tupl
 
 
 def motions(world: World, snapshot: Snapshot, t_s: float) -> F64:
-    """Return where in the world things are that move, and where they will be in two seconds (N, 2, 2)."""
+    """Return the places of moving things in the world, now and in two seconds (N, 2, 2)."""
     first = np.unique(snapshot.thing, return_index=True)[1]
     first = first[np.hypot(*snapshot.velocity_mps[first, :2].T) > 0.2]
     start = np.array([world.things[snapshot.thing[k]].pose_at(t_s)[:2] for k in first]).reshape(-1, 2)
@@ -106,7 +106,7 @@ def motions(world: World, snapshot: Snapshot, t_s: float) -> F64:
 
 
 def point_colors(xy: F64, height_m: F64, grid: BevGrid) -> F32:
-    """Return points (N, 2) from above (SIDE, SIDE, 3), colored by height above the ground, the highest on top."""
+    """Return the colors (SIDE, SIDE, 3) of points (N, 2) from above, by height above ground, the highest on top."""
     image = np.full((SIDE, SIDE, 3), 0.094, np.float32)
     order = np.argsort(height_m, kind="stable")
     cells, inside = BevGrid(SIDE, grid.half_extent_m, grid.offset_m).index(xy[order])
@@ -117,13 +117,13 @@ def point_colors(xy: F64, height_m: F64, grid: BevGrid) -> F32:
 
 
 def state_colors(truth: Truth, known: NDArray[np.bool_], target: str) -> F32:
-    """Return the colors of the states (cells, cells, 3) for one target; `NOT_KNOWN` where there is no truth."""
+    """Return the colors (cells, cells, 3) of the states for one target; `NOT_KNOWN` without truth."""
     palette = np.array([COLORS[CellState(state)] for state in range(len(CellState))], np.float32)
     return np.where(known[..., None], palette[truth.state[target]], np.array(NOT_KNOWN, np.float32))
 
 
 def difference_colors(truth: Truth, known: NDArray[np.bool_]) -> F32:
-    """Return who calls a cell visible, in the colors of ``DIFFERENCES`` (cells, cells, 3)."""
+    """Return the colors (cells, cells, 3) by which definitions call a cell visible, see ``DIFFERENCES``."""
     probe, far = truth.visible("car"), truth.definitions["farthest"]
     first, sight = truth.definitions["first_blocker"], truth.definitions["line_of_sight"]
     who = np.where(probe, np.where(first, 1, 2), np.where(far, 3, np.where(sight, 4, 0)))
@@ -133,21 +133,21 @@ def difference_colors(truth: Truth, known: NDArray[np.bool_]) -> F32:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PreviewSample:
-    """One sample and what it was made from."""
+    """One simulated sample with its world."""
 
-    world: World  # the world it was made in
-    agent: int  # index of the agent that measured it
+    world: World
+    agent: int  # index of the agent that measured the sweep
     t_s: float  # time in the world
-    sweep: Sweep  # what the sensor measured
-    truth: Truth  # what it could have seen
-    known: NDArray[np.bool_]  # (cells, cells) where that is known
-    title: str  # what it is, for the reader
+    sweep: Sweep
+    truth: Truth
+    known: NDArray[np.bool_]  # (cells, cells) cells with truth
+    title: str  # description for the reader
 
 
 def preview_png(preset: str, seed: int) -> bytes:
-    """Return a PNG that shows one sample of each kind of world that a preset has, with its truth.
+    """Return a PNG of one sample of each kind of world of a preset, with its truth.
 
-    Moving agents and those on masts take turns where a preset has both.
+    Moving agents and those on masts alternate if a preset has both.
     """
     composed = replace(preset_named(preset), seed=seed)
     samples = [preview_sample(scene, agent) for scene, agent in _choice(composed)]
@@ -155,7 +155,7 @@ def preview_png(preset: str, seed: int) -> bytes:
 
 
 def preview_sample(scene: ScenePlan, agent: int) -> PreviewSample:
-    """Return the frame in the middle of a scene, as one of its agents measured it."""
+    """Return the sample of an agent at the middle of a scene."""
     preset, world = scene.preset, world_of(scene)
     time = -(-scene.frames // preset.agents) // 2
     t_s, who = (time + 0.5) * preset.interval_s, world.agents[agent]
@@ -170,7 +170,7 @@ def preview_sample(scene: ScenePlan, agent: int) -> PreviewSample:
 
 
 def _choice(preset: Preset) -> list[tuple[ScenePlan, int]]:
-    """Return the first scene of each kind of world, and one of its agents, moving and on masts in turn."""
+    """Return the first scene of each kind of world with one of its agents, moving and on masts in turn."""
     first: dict[str, ScenePlan] = {}
     for number in range(_SCENES):
         scene = ScenePlan(preset, 0, number)
@@ -181,7 +181,7 @@ def _choice(preset: Preset) -> list[tuple[ScenePlan, int]]:
 
 
 def sheet(samples: Sequence[PreviewSample], title: str) -> bytes:
-    """Return a PNG with a line of pictures for each sample, each with forward up and left on the left, and a legend."""
+    """Return a PNG with a row of views per sample and a legend; forward is up and left is left."""
     width, height = len(HEADINGS) * _INCHES, len(samples) * (_INCHES + 0.25) + 1.5
     figure = Figure((width, height), dpi=100)
     places = {"left": 0.005, "right": 0.995, "bottom": 1.1 / height, "top": 1.0 - 0.65 / height}
@@ -219,7 +219,7 @@ def _draw(axes: Sequence[Axes], sample: PreviewSample) -> None:
     world_from_level = Rigid.from_yaw(sensor.yaw, foot)
 
     def level(xy: F64) -> F64:
-        """Return places (…, 2) of the world in the frame of the sensor."""
+        """Transform places (…, 2) from the world to the sensor's level frame."""
         return np.asarray((world_from_level.inverse() @ np.insert(xy, 2, 0.0, axis=-1))[..., :2])
 
     returns = sensor @ sample.sweep.points

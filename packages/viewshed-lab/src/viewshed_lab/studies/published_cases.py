@@ -1,7 +1,7 @@
-"""The four cases of the publication, small, with exact truth: ``viewshed study cases`` runs them and writes one page.
+"""The four cases of the publication at small scale, with exact truth; run by ``viewshed study cases``, on one page.
 
-A robot indoors; a sensor on a mast beside a car; perception with a field of view; trust of many agents. Each is a table
-in which the published method stands beside ours, and the figures of the publication where it reports some.
+A robot indoors; a sensor on a mast beside a car; perception with a field of view; trust of many agents. Each has a
+table that compares the published method with ours, and with the figures of the publication if it reports some.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ Rows = tuple[tuple[str, ...], list[list[str]]]
 """Header and rows of a table."""
 
 WITHIN_M = 40.0
-"""Area about the car that counts."""
+"""Radius of the area around the car that counts."""
 
 ATTACKS: dict[str, tuple[str, int, str]] = {
     "false objects that stand, on one car": ("fabricate_static", 2, "car"),
@@ -65,21 +65,21 @@ ATTACKS: dict[str, tuple[str, int, str]] = {
     "moved objects, on the mast": ("translate_static", 3, "mast"),
     "moved objects, on a car": ("translate_static", 3, "car"),
 }
-"""The published attacks on detections: which, how many objects, and on whom."""
+"""The published attacks on detections: name, number of objects, and attacked agents."""
 
 
 def robot_indoors(scenes: int) -> Rows:
-    """Return precision, recall and F1 of the field of view of a robot with a VLP-16, against exact truth."""
+    """Return the table of precision, recall and F1 of the field of view of a robot with a VLP-16."""
     rows = []
     for method in (HULL, "shadow_map"):
         counts = ConfusionCounts(0, 0, 0, 0)
         for number in range(scenes):
             plan = drive_plan(preset_named("ugv"), seconds=4.0, hz=0.5, agents=1, seed=SEED + number)
             for frame in range(plan.frames):
-                seen = observe_frame(plan, frame)
-                grid, truth = seen.truth.grid, seen.truth.visible("car")
-                claimed = load_estimator(method, grid=grid).estimate(seen.image.sweep()).visible()
-                counts = counts + ConfusionCounts.of(claimed, truth, seen.known, grid.cell_area_m2)
+                observed = observe_frame(plan, frame)
+                grid, truth = observed.truth.grid, observed.truth.visible("car")
+                claimed = load_estimator(method, grid=grid).estimate(observed.image.sweep()).visible()
+                counts = counts + ConfusionCounts.of(claimed, truth, observed.known, grid.cell_area_m2)
         rows.append([method, *(f"{value:.2f}" for value in (counts.precision, counts.recall, counts.f1))])
     published = tomllib.loads(
         resources.files("viewshed_lab.studies.paper").joinpath("published.toml").read_text(encoding="utf-8")
@@ -89,7 +89,7 @@ def robot_indoors(scenes: int) -> Rows:
 
 
 def mast_beside_a_car(scenes: int) -> Rows:
-    """Return the area within ``WITHIN_M`` of a car that car and mast see, exact and as estimated."""
+    """Return the table of the area within ``WITHIN_M`` of a car that car and mast see, exact and estimated."""
     setting, estimator = Setting(GRIDS["road"]), load_estimator("shadow_map", grid=GRIDS["road"])
     area: dict[str, list[float]] = {name: [0.0, 0.0, 0.0] for name in ("the car alone", "the mast alone", "both")}
     near = np.hypot(*np.moveaxis(setting.grid.centers, -1, 0)) <= WITHIN_M
@@ -105,23 +105,23 @@ def mast_beside_a_car(scenes: int) -> Rows:
             views.append(estimator.estimate(level(stored.sweep(), setting.grid)))
         pose = truths[0].world_from_level
         assert pose is not None
-        visible = [near & (claimed_at(each, setting.grid, pose)[1] == CellState.FREE) for each in truths]
-        claimed = [near & (claimed_at(each, setting.grid, pose)[0] >= each.threshold) for each in views]
+        visible = [near & (claimed_at(view, setting.grid, pose)[1] == CellState.FREE) for view in truths]
+        claimed = [near & (claimed_at(view, setting.grid, pose)[0] >= view.threshold) for view in views]
         visible.append(visible[0] | visible[1])
         claimed.append(near & (joint_fov(views, setting.grid, pose).seen_by > 0))
-        for sums, seen, said in zip(area.values(), visible, claimed, strict=True):
-            parts = np.array([seen.sum(), said.sum(), (seen & said).sum()]) * setting.grid.cell_area_m2
+        for sums, seen, claim in zip(area.values(), visible, claimed, strict=True):
+            parts = np.array([seen.sum(), claim.sum(), (seen & claim).sum()]) * setting.grid.cell_area_m2
             sums[:] = (np.array(sums) + parts).tolist()
     car = area["the car alone"][0]
     rows = [
-        [name, f"{seen / scenes:.0f}", f"{seen / car:.2f}", f"{said / scenes:.0f}", f"{right / max(said, 1e-9):.2f}"]
-        for name, (seen, said, right) in area.items()
+        [name, f"{seen / scenes:.0f}", f"{seen / car:.2f}", f"{claim / scenes:.0f}", f"{both / max(claim, 1e-9):.2f}"]
+        for name, (seen, claim, both) in area.items()
     ]
     return ("view", "visible, m²", "times that of the car", "estimated, m²", "precision"), rows
 
 
 def _as_view(truth: Truth, known: Mask, world_from_sensor: Rigid, agent: str) -> FovEstimate:
-    """Return exact truth as a view with a pose: what is seen is FREE, what is not HIDDEN, what is not known UNKNOWN."""
+    """Return exact truth as a view with a pose: visible cells are FREE, others HIDDEN, cells without truth UNKNOWN."""
     seen = truth.visible("car")
     state = np.where(known, np.where(seen, CellState.FREE, CellState.HIDDEN), CellState.UNKNOWN).astype(np.uint8)
     pose = Rigid.from_yaw(world_from_sensor.yaw, world_from_sensor.translation)
@@ -131,7 +131,7 @@ def _as_view(truth: Truth, known: Mask, world_from_sensor: Rigid, agent: str) ->
 
 
 def perception(scenes: int) -> Rows:
-    """Return GOSPA of tracks, with a field of view and without, of the same detections."""
+    """Return the table of GOSPA of tracks from the same detections, with a field of view and without."""
 
     def polygon(leveled: LeveledSweep, t_s: float) -> View:
         hull = load_estimator(HULL, grid=GRIDS["road"]).estimate(leveled)
@@ -150,18 +150,18 @@ def perception(scenes: int) -> Rows:
         trackers = {name: Tracker(rules()) for name, (rules, _) in kinds.items()}
         for frame, (sweep, truth) in enumerate(drive_sweeps(one, world_of(one))):
             leveled, t_s = level(sweep, GRIDS["road"]), frame / 5.0
-            found = detector.detect(leveled).moved(pose_of(leveled))
-            seen = np.array([each.world_from_box.translation[:2] for each in truth.seen]).reshape(-1, 2)
+            detections = detector.detect(leveled).moved(pose_of(leveled))
+            seen = np.array([box.world_from_box.translation[:2] for box in truth.seen]).reshape(-1, 2)
             near = np.hypot(*(seen - truth.world_from_carrier.translation[:2]).T) < 50.0
             for name, (_, view) in kinds.items():
-                tracks = trackers[name].step(t_s, found, view(leveled, t_s))
+                tracks = trackers[name].step(t_s, detections, view(leveled, t_s))
                 if frame >= 5:
                     distance_m[name].append(gospa(tracks.boxes[tracks.confirmed, :2], seen[near]).distance_m)
     return ("tracker", "GOSPA, m"), [[name, f"{np.mean(values):.2f}"] for name, values in distance_m.items()]
 
 
 def trust_of_agents(scenes: int) -> Rows:
-    """Return how well attacked agents are told from honest ones, for each of the published attacks on detections."""
+    """Return the table of how well trust separates attacked from honest agents, by published attack on detections."""
     plan = replace(
         AgentsPlan.load("small"), worlds=("junction", "street", "parking"), test_worlds=("junction",), tall_masts=1,
         heights_m=(1.84,), seed=SEED,
@@ -175,29 +175,29 @@ def trust_of_agents(scenes: int) -> Rows:
             rng = generator(SEED, name, number)
             cars = [int(car) for car in rng.permutation(mast)]
             attacked = [mast] if on == "mast" else cars[: 2 if on == "cars" else 1]
-            made = OBJECT_ATTACKS[attack](counts="exact", mean_count=float(count), start_s=ONSET_S)
-            running = {agent: made.begin(rng) for agent in attacked}
-            ours, nobody = CommandCenter(scene.agents), CommandCenter(scene.agents, trusting=True)
+            parameters = OBJECT_ATTACKS[attack](counts="exact", mean_count=float(count), start_s=ONSET_S)
+            running = {agent: parameters.begin(rng) for agent in attacked}
+            ours, no_trust = CommandCenter(scene.agents), CommandCenter(scene.agents, trusting=True)
             published = PublishedTrust()
-            trust, apart = list[F64](), list[list[float]]()
+            trust, distances = list[F64](), list[list[float]]()
             for time, t_s in enumerate(scene.times_s.tolist()):
                 reports = scene.reports(time)
-                for agent, attack_of in running.items():
-                    pose, found = reports[agent].world_from_level, reports[agent].detections
-                    forged = attack_of.apply(found.moved(pose), t_s, pose.translation).detections
+                for agent, run in running.items():
+                    pose, honest = reports[agent].world_from_level, reports[agent].detections
+                    forged = run.apply(honest.moved(pose), t_s, pose.translation).detections
                     reports[agent] = replace(reports[agent], detections=forged.moved(pose.inverse()))
-                picture, naive = ours.add(t_s, reports), nobody.add(t_s, reports)
-                of_agents, believed = published.add(naive, reports)
-                trust.append(np.stack([picture.verdicts.trust, of_agents]))
+                picture, naive = ours.add(t_s, reports), no_trust.add(t_s, reports)
+                published_trust, believed = published.add(naive, reports)
+                trust.append(np.stack([picture.verdicts.trust, published_trust]))
                 truth = seen_objects(scene, time)[:, :2]
                 boxes, now = naive.tracks.boxes, naive.reported
                 ours_now = picture.tracks.boxes[picture.believed & picture.reported]
-                shown = (ours_now, boxes[believed & now], boxes[naive.tracks.confirmed & now])
-                apart.append([gospa(each[:, :2], truth).distance_m for each in shown])
-            after = round(ONSET_S * plan.hz)
-            least = np.min(trust[after:], axis=0)
-            lowest[name].append((least[0], least[1], attacked))
-            distance_m[name].append(np.mean(apart[after:], axis=0))
+                tracks = (ours_now, boxes[believed & now], boxes[naive.tracks.confirmed & now])
+                distances.append([gospa(own[:, :2], truth).distance_m for own in tracks])
+            onset = round(ONSET_S * plan.hz)
+            lowest_trust = np.min(trust[onset:], axis=0)
+            lowest[name].append((lowest_trust[0], lowest_trust[1], attacked))
+            distance_m[name].append(np.mean(distances[onset:], axis=0))
     rows = []
     for name in ATTACKS:
         areas = [_area(lowest[name], 0), _area(lowest[name], 1)]
@@ -207,10 +207,10 @@ def trust_of_agents(scenes: int) -> Rows:
     return header, rows
 
 
-def _area(found: Sequence[tuple[F64, F64, list[int]]], which: Literal[0, 1]) -> float:
-    """Return the share of pairs of an attacked and an honest agent in which the attacked one is trusted less."""
-    bad = np.concatenate([one[which][one[2]] for one in found])
-    good = np.concatenate([np.delete(one[which], one[2]) for one in found])
+def _area(scenes: Sequence[tuple[F64, F64, list[int]]], which: Literal[0, 1]) -> float:
+    """Return the AUROC of the lowest trust, ours (0) or the published (1), for attacked against honest agents."""
+    bad = np.concatenate([scene[which][scene[2]] for scene in scenes])
+    good = np.concatenate([np.delete(scene[which], scene[2]) for scene in scenes])
     return auroc(-good, -bad)
 
 
@@ -236,11 +236,11 @@ CASES: dict[str, tuple[Callable[[int], Rows], str]] = {
         " publication reports no figures that compare.",
     ),
 }
-"""By title: what runs, and what it is."""
+"""By title: function and description of a case."""
 
 
 def cases_page(scenes: int, progress: Callable[[str], None] = lambda _: None) -> str:
-    """Return the page of all cases, each of some scenes."""
+    """Return the page of all cases, each with ``scenes`` scenes."""
     parts, seconds = [], []
     for title, (run, about) in CASES.items():
         progress(title)

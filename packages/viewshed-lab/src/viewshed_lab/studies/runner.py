@@ -1,4 +1,4 @@
-"""Jobs of a study: what is in the store stays, an engine does the rest, job after job."""
+"""Runs the jobs of a study that are not yet in its store, on an engine, and stores each result."""
 
 from __future__ import annotations
 
@@ -16,24 +16,24 @@ from viewshed_lab.studies.plan import JobKey
 from viewshed_lab.studies.store import JobResult, P, ResultStore
 
 THREADS = "OMP_NUM_THREADS"
-"""What tells a process how many threads a training has."""
+"""Environment variable that sets the number of threads of a process."""
 
 Progress = Callable[[str, int, int], None]
-"""Is called with the step, how many of its jobs are done, and how many there are."""
+"""Progress callback: name of the step, number of finished jobs, number of all jobs."""
 
 
 @dataclass(frozen=True, slots=True)
 class Job(Generic[P]):
-    """One line of results that is to be found."""
+    """One job of a study; its result is one file of the store."""
 
     plan: P  # of the study
     folder: Path  # of the study
-    key: JobKey  # its step, and what tells it from the others of that step
+    key: JobKey  # its step, then its names within the step
     device: str = "cpu"  # ``cpu`` or ``cuda``
 
 
 def lacking(needed: Set[JobKey], what: str) -> Callable[[JobKey, set[JobKey]], str]:
-    """Return what ``missing`` of :func:`run_jobs` is where every job needs the same ones: how many are not done.
+    """Return the ``missing`` function of :func:`run_jobs` for jobs that all need the same ``needed`` jobs.
 
     >>> lacking({("drive", "1"), ("drive", "2")}, "drives are not measured")(("score",), {("drive", "1")})
     '1 drives are not measured'
@@ -57,19 +57,20 @@ def run_jobs(
     device: str = "cpu",
     missing: Callable[[JobKey, set[JobKey]], str] = lambda _key, _done: "",
 ) -> Iterator[str]:
-    """Do the jobs that are not in the store, and yield one line for each that failed, as it happens.
+    """Run the jobs that are not in the store; yield one line for each failed job as it happens.
 
-    What is stored does not depend on the engine or on the number of workers, up to the order of the lines.
+    The stored results do not depend on the engine or on the number of workers.
 
     Args:
-        store: where results go.
-        work: does a job.
-        keys: of the jobs.
-        engine: does them.
+        store: receives the results.
+        work: runs one job.
+        keys: keys of the jobs.
+        engine: runs the jobs.
         on_progress: is called after each job.
-        step: name of all of them together.
+        step: name of the step, for ``on_progress``.
         device: ``cpu`` or ``cuda``.
-        missing: says what a job needs that is not done yet; such a job is left, and its line yielded.
+        missing: takes a key and the finished keys; returns what the job still needs, or an empty string. A job that
+            needs something is skipped, and its line yielded.
     """
     done = store.keys()
     pending = [key for key in keys if key not in done]
@@ -81,24 +82,24 @@ def run_jobs(
     on_progress(step, finished, len(keys))
     jobs = [Job(store.plan, store.folder, key, device) for key in pending if key not in waiting]
     with _one_thread_each(engine), contextlib.closing(engine.run(partial(_with_commits, work), jobs)) as run:
-        for one in run:
-            key = jobs[one.index].key
-            if one.result is None:
-                yield f"{' '.join(key)}: {one.error}"
+        for outcome in run:
+            key = jobs[outcome.index].key
+            if outcome.result is None:
+                yield f"{' '.join(key)}: {outcome.error}"
             else:
-                store.append(key, *one.result)
+                store.append(key, *outcome.result)
             finished += 1
             on_progress(step, finished, len(keys))
 
 
 def _with_commits(work: Callable[[Job[P]], JobResult], job: Job[P]) -> tuple[JobResult, list[str]]:
-    """Return what a job found, and the commits of the code that did it."""
+    """Return the result of a job and the commits of the code that ran it."""
     return work(job), list(code_version()["commits"])
 
 
 @contextlib.contextmanager
 def _one_thread_each(engine: Engine) -> Iterator[None]:
-    """Let processes that are started meanwhile use one thread each: several trainings share the cores."""
+    """Limit processes started in this context to one thread each, as several jobs share the cores."""
     before = os.environ.get(THREADS)
     if engine != LocalEngine(1):
         os.environ[THREADS] = "1"

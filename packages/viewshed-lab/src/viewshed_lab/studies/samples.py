@@ -1,4 +1,4 @@
-"""The sweeps that a study attacks, with exact truth, simulated as needed."""
+"""Samples of the studies: sweeps with exact truth, simulated on demand."""
 
 from __future__ import annotations
 
@@ -18,39 +18,39 @@ from viewshed_lab.data.presets import preset_named
 from viewshed_lab.data.simulated import ScenePlan, simulate_frame
 
 BEFORE_S = (2.0, 0.5)
-"""How long before the sweep the earlier ones were measured."""
+"""Ages of the earlier sweeps, relative to the sweep."""
 
 _GOLDEN = (5**0.5 - 1) / 2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StudySample:
-    """One sweep with exact truth, and what the same sensor measured before."""
+    """One sweep with exact truth, and earlier sweeps of the same sensor."""
 
-    sample: Sample  # the sweep, its truth and where that is known
-    # sweeps of the same sensor about ``BEFORE_S`` before, the oldest first; fewer where there are none
+    sample: Sample  # the sweep, its truth and the mask of known truth
+    # sweeps of the same sensor about ``BEFORE_S`` earlier, the oldest first; fewer at the start of a scene
     earlier: tuple[Sweep, ...] = ()
-    # the scene and the number of the frame that was simulated, or None for a recorded sample
+    # scene and number of the simulated frame, or None for a recorded sample
     frame: tuple[ScenePlan, int] | None = None
 
     @property
     def sweep(self) -> Sweep:
-        """What the sensor measured."""
+        """The measured sweep."""
         return self.sample.sweep
 
     @property
     def truth(self) -> Truth:
-        """What it could have seen."""
+        """The exact truth."""
         return self.sample.truth
 
     @property
     def known(self) -> NDArray[np.bool_]:
-        """Where that is known."""
+        """Mask (cells, cells) of known truth."""
         return self.sample.known
 
 
 def sample_of(domain: str, number: int, count: int, seed: int) -> StudySample:
-    """Return the sample ``number`` of ``count`` of a preset: each is of a scene of its own, and agents take turns."""
+    """Return sample ``number`` of ``count`` of a preset: each is from its own scene, and agents alternate."""
     preset = preset_named(domain)
     frames = preset.frames[-1] // preset.scenes[-1] * count
     preset = replace(preset, splits=("held_out",), scenes=(count,), frames=(frames,), seed=seed)
@@ -68,20 +68,20 @@ def sample_of(domain: str, number: int, count: int, seed: int) -> StudySample:
 
 
 CLEAR = "clear of the threshold"
-"""Part of the cells whose true number of returns is not next to that from which on a target is visible."""
+"""Part: cells whose true number of returns is not near the minimum of a visible target."""
 
 SENSOR = "sensor "
-"""Begins the name of a part that is all of a sensor's sweeps."""
+"""Prefix of the name of a part that holds all cells of one sensor's sweeps."""
 
 
 def parts_of(sample: Sample, target: Target, bands: Sequence[float], margin: int) -> dict[str, NDArray[np.bool_]]:
-    """Return parts of a view by name, masks (cells, cells): clear of the threshold, bands of range, the sensor's.
+    """Return masks (cells, cells) of parts of a view by name: ``CLEAR``, range bands, and all cells of the sensor.
 
     Args:
-        sample: with its truth.
-        target: what would have to be seen.
-        bands: edges of the bands of range, as shares of half the grid's side.
-        margin: returns that a clear cell is more than apart from the threshold.
+        sample: sample with truth.
+        target: target whose visibility counts.
+        bands: edges of the range bands, as shares of the grid's half extent.
+        margin: a clear cell differs from the minimum number of returns by more than this.
     """
     grid, returns = sample.truth.grid, sample.truth.expected_returns[target.name].astype(np.int64)
     range_m, _ = polar_of_cells(grid)

@@ -1,4 +1,4 @@
-"""Rates of counted cells as arrays, and how far they depend on which scenes were drawn."""
+"""Rates from confusion counts, and their bootstrap intervals over scenes."""
 
 from __future__ import annotations
 
@@ -9,20 +9,20 @@ import numpy as np
 from viewshed.arrays import F64
 
 Measure = Callable[[F64], F64]
-"""From counts (…, 4) of cells (both, over, under, neither) to a figure (…)."""
+"""Maps counts (…, 4) of cells (both, over, under, neither) to a figure (…)."""
 
-DRAWS = 1000
+DRAWS = 1000  # bootstrap samples
 
 NO_INTERVAL = (float("nan"), float("nan"))
 
 
 def precision(counts: F64) -> F64:
-    """Return the share of the claimed cells that are visible (…); NaN where none is claimed."""
+    """Return the share of claimed cells that are visible (…); NaN if none is claimed."""
     return _rate(counts[..., 0], counts[..., 0] + counts[..., 1])
 
 
 def f1(counts: F64) -> F64:
-    """Return the harmonic mean of precision and recall (…); NaN where nothing is claimed and nothing visible.
+    """Return the harmonic mean of precision and recall (…); NaN if no cell is claimed or visible.
 
     >>> f1(np.array([6.0, 2.0, 2.0, 10.0])).item()
     0.75
@@ -38,13 +38,13 @@ def _rate(part: F64, whole: F64) -> F64:
 def bootstrap(cases: Iterable[tuple[F64, Sequence[str]]], measure: Measure) -> tuple[float, float]:
     """Return the 95 % interval of the mean over cases of a pooled measure, by a bootstrap over scenes.
 
-    All sweeps of a scene are drawn together, and the draws are the same for all cases with as many scenes.
+    Scenes are resampled with all their sweeps; cases with equally many scenes share the same random samples.
 
     Args:
         cases: counts (S, 4) of the sweeps of each case, and their scenes (S,).
-        measure: of pooled counts.
+        measure: maps pooled counts to a figure.
     """
-    means = [measure(_drawn(counts, scenes)) for counts, scenes in cases if len(counts)]
+    means = [measure(_resampled(counts, scenes)) for counts, scenes in cases if len(counts)]
     mean = np.mean(means, axis=0) if means else np.array(np.nan)
     if np.isnan(mean).all():
         return NO_INTERVAL
@@ -52,8 +52,8 @@ def bootstrap(cases: Iterable[tuple[F64, Sequence[str]]], measure: Measure) -> t
     return float(low), float(high)
 
 
-def _drawn(counts: F64, scenes: Sequence[str]) -> F64:
-    """Return (draws, 4) counts of scenes drawn with replacement."""
+def _resampled(counts: F64, scenes: Sequence[str]) -> F64:
+    """Return pooled counts (DRAWS, 4) of scenes sampled with replacement."""
     names, scene_of = np.unique(np.asarray(scenes, object).astype(str), return_inverse=True)
     pooled = np.zeros((len(names), counts.shape[1]))
     np.add.at(pooled, scene_of, counts)

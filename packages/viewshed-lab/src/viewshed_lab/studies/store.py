@@ -1,4 +1,4 @@
-"""One Parquet file a finished job in a folder, written at once: what is there survives whatever stops the rest."""
+"""Result store of a study: a folder with one Parquet file per finished job, written atomically."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from viewshed_lab.studies.plan import JobKey, Plan
 from viewshed_lab.studies.records import Results, Row
 
 PLAN, JOBS = "plan.json", "jobs"
-"""The file of the plan whose results a folder holds, and the folder of the results, one file a job."""
+"""File of the plan, and folder of the results, one file per job."""
 
 FORMAT = 4
 
@@ -27,22 +27,22 @@ P = TypeVar("P", bound=Plan)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JobResult:
-    """What a job found."""
+    """Result of a job."""
 
-    rows: Sequence[Row] = ()  # what it counted
-    facts: Mapping[str, Any] = field(default_factory=dict)  # plain values that are no rows
+    rows: Sequence[Row] = ()  # see :func:`row_of`
+    facts: Mapping[str, Any] = field(default_factory=dict)  # plain values that are not rows
 
 
 @dataclass(frozen=True, slots=True)
 class ResultStore(Generic[P]):
-    """Results of one plan in a folder. Those of several machines are together once their files are in one folder."""
+    """Results of one plan in a folder. To merge results of several machines, copy their files into one folder."""
 
-    folder: Path  # where all of the study lies
-    plan: P  # whose results it holds
+    folder: Path  # folder of the study
+    plan: P  # plan of the results
 
     @classmethod
     def open(cls, folder: str | Path, plan: P) -> ResultStore[P]:
-        """Return the store in a folder, begun if there is none.
+        """Return the store in a folder; create it if there is none.
 
         Raises:
             ValueError: the folder holds results of another plan or version.
@@ -54,10 +54,10 @@ class ResultStore(Generic[P]):
         if not path.exists():
             _files.write_atomic(path, json.dumps(head, indent=1).encode())
         try:
-            found = json.loads(path.read_bytes())
-            kind = "another version" if found != head else ""
-            if found["plan"] != head["plan"]:
-                kind = f"another plan ({_changes(found['plan'], plan.to_json())})"
+            stored = json.loads(path.read_bytes())
+            kind = "another version" if stored != head else ""
+            if stored["plan"] != head["plan"]:
+                kind = f"another plan ({_changes(stored['plan'], plan.to_json())})"
         except (ValueError, TypeError, KeyError):
             kind = "something else"
         if kind:
@@ -67,14 +67,14 @@ class ResultStore(Generic[P]):
         return store
 
     def path_of(self, key: JobKey) -> Path:
-        """Return the file of what a job found."""
+        """Return the file of a job's result."""
         return self.folder / JOBS / f"{quote(' '.join(key), safe=' ')}.parquet"
 
     def append(self, key: JobKey, result: JobResult, commits: Sequence[str] = ()) -> None:
-        """Add what a job found, on the disk when this returns.
+        """Write the result of a job to its file.
 
         Raises:
-            OSError: it cannot be written.
+            OSError: the file cannot be written.
         """
         frame = pd.DataFrame(list(result.rows))
         if "scores" in frame:
@@ -83,11 +83,11 @@ class ResultStore(Generic[P]):
         _files.write_atomic(self.path_of(key), frame.to_parquet(None, index=False))
 
     def keys(self) -> set[JobKey]:
-        """Return the names of the jobs that are there."""
+        """Return the keys of the finished jobs."""
         return {key for key in self.plan.job_keys() if self.path_of(key).exists()}
 
     def results(self, *start: str) -> Results[P]:
-        """Return what the finished jobs found whose names begin with ``start``, in the order of the plan.
+        """Return the results of the finished jobs whose keys begin with ``start``, in the order of the plan.
 
         Raises:
             ValueError: a file is damaged.
@@ -119,7 +119,7 @@ class ResultStore(Generic[P]):
 
 
 def _changes(before: Mapping[str, Any], now: Mapping[str, Any]) -> str:
-    """Return what differs between two plans in plain values: the first three that do."""
+    """Return the first three differences between two plans, as text."""
     keys = [key for key in (*before, *(set(now) - set(before))) if before.get(key) != now.get(key)]
     more = f" and {len(keys) - 3} more" if len(keys) > 3 else ""
     return (

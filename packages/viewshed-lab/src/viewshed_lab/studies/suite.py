@@ -1,4 +1,4 @@
-"""The estimators under test, each set of them on one grid with one threshold."""
+"""The estimators under test: suites that share a grid and a threshold."""
 
 from __future__ import annotations
 
@@ -21,37 +21,37 @@ from viewshed_lab.studies.cases import ROOM_M
 _BESIDE: dict[str, dict[str, EstimatorFactory]] = {
     "shadow_map": {"shadow_map_unknown": partial(ShadowMap, no_return="unknown")}
 }
-"""By the estimator after which they stand."""
+"""Variants, by the estimator after which they are listed."""
 
 TESTED: dict[str, EstimatorFactory] = dict(
     chain.from_iterable([(name, make), *_BESIDE.get(name, {}).items()] for name, make in CLASSICAL.items())
 )
-"""The classical estimators by name, in the order of the tables. ``shadow_map_unknown`` counts only beams that
-returned, the geometric reading of a missing return; the bar is the better of the two shadow maps."""
+"""The classical estimators by name, in the order of the tables. ``shadow_map_unknown`` uses only beams that returned
+(a missing return says nothing); the baseline to beat is the better of the two shadow maps."""
 
 LABEL = "paper_label"
 
 _RECENT = 8
-"""Sweeps of which estimates are kept beside those of the first one: a larger budget than the wedge holds, or a defense
-that drops nothing, leaves the same sweep again."""
+"""Size of the cache of estimates, beside those of the first sweep. The same sweep comes again if a budget exceeds the
+beams of the wedge, or if a defense drops nothing."""
 
 Estimates = dict[str, FovEstimate]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Changed:
-    """An estimator whose answer is that of another one, or whose sweep is, changed."""
+    """Wraps an estimator to change its input or output."""
 
-    estimator: FovEstimator  # the other one
-    answer: Callable[[FovEstimator, Sweep], FovEstimate]  # returns what is said of a sweep instead
+    estimator: FovEstimator  # wrapped estimator
+    answer: Callable[[FovEstimator, Sweep], FovEstimate]  # returns the changed estimate of a sweep
 
     @property
     def grid(self) -> BevGrid:
-        """The other estimator's."""
+        """Grid of the wrapped estimator."""
         return self.estimator.grid
 
     def estimate(self, sweep: Sweep) -> FovEstimate:
-        """Return the changed answer."""
+        """Return the changed estimate."""
         return self.answer(self.estimator, sweep)
 
 
@@ -59,8 +59,8 @@ class Changed:
 class EstimatorSuite:
     """Estimators on one grid."""
 
-    grid: BevGrid  # theirs
-    threshold: float  # probability from which a cell counts as claimed
+    grid: BevGrid  # of all estimators
+    threshold: float  # minimum probability of a claimed cell
     estimators: Mapping[str, Estimator]  # by name
     _recent: dict[bytes, Estimates] = field(init=False, repr=False, default_factory=dict)
 
@@ -69,7 +69,7 @@ class EstimatorSuite:
         return replace(self, estimators={name: self.estimators[name]})
 
     def estimates(self, leveled: LeveledSweep) -> Estimates:
-        """Return the estimate of each for a sweep leveled on their grid; the first and the last ones are kept."""
+        """Return each estimator's estimate of a leveled sweep; the first and the last ones are cached."""
         key = _fingerprint(leveled.sweep)
         if key not in self._recent:
             self._recent[key] = {name: one.estimate(leveled) for name, one in self.estimators.items()}
@@ -84,14 +84,14 @@ def strict_suite(grid: BevGrid, names: Sequence[str] = ()) -> EstimatorSuite:
 
 
 def paper_suite(half_extent_m: float) -> EstimatorSuite:
-    """Return the paper's estimators and ours on the paper's grid, for truth that reaches so far."""
+    """Return the paper's estimators and ours on the paper's grid, indoor or road by the extent of the truth."""
     grid = GRIDS["paper_indoor" if half_extent_m < ROOM_M else "paper"]
     table = {**paper_estimators_on(grid), **CLASSICAL}
     return EstimatorSuite(grid, PAPER_THRESHOLD, {name: make(grid) for name, make in table.items()})
 
 
 def _fingerprint(sweep: Sweep) -> bytes:
-    """Return what is the same for two sweeps only if every estimator says the same of them."""
+    """Return a hash of all fields of a sweep that estimators read."""
     pose = None if sweep.world_from_sensor is None else sweep.world_from_sensor.as_matrix()
     digest = blake2b(repr((sweep.sensor_height_m, len(sweep))).encode())
     for column in (sweep.points, sweep.ring, sweep.azimuth, sweep.time_s, sweep.intensity, sweep.attitude, pose):

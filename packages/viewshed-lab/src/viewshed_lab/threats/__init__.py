@@ -1,1 +1,1 @@
-"""Sweeps as a spoofer, weather or a fault leaves them, and defenses against them."""
+"""Attacks and corruptions of sweeps, detections and fields of view, and defenses against them."""

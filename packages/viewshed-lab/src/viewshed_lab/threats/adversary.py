@@ -1,7 +1,7 @@
-"""Adversary: forges what agents of a stream send, from a time on, by the name of an attack of the package.
+"""Adversary: runs one of the package's attacks on the messages that agents send, from a start time on.
 
-A name of ``ATTACKS`` forges sweeps, before anything is made of them; one of ``OBJECT_ATTACKS`` forges detections, and
-one of ``VIEW_LIES`` the field of view that an agent claims; the rest stays honest.
+A name in ``ATTACKS`` forges sweeps before they are processed, one in ``OBJECT_ATTACKS`` forges detections, and one in
+``VIEW_LIES`` forges the claimed field of view. All other data stays honest.
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ from viewshed_lab.threats.object_attacks import OBJECT_ATTACKS, RunningAttack
 from viewshed_lab.threats.view_attacks import VIEW_LIES, ViewLie
 
 SWEEPS_KEPT = 5
-"""Honest sweeps of an agent before the attack, for attacks that replay them."""
+"""Number of sweeps before the attack that are kept per agent, for attacks that replay them."""
 
 VIEWS_KEPT = 50
-"""Honest views of an agent that a stale lie may go back to."""
+"""Number of honest views that are kept per agent, for the lie ``stale``."""
 
 
 @dataclass(slots=True)
 class _Victim:
-    """What is remembered of one agent: when it was heard first and last, and its honest past."""
+    """State of one agent: times of its first and last message, and its honest sweeps and views."""
 
     first_s: float
     last_s: float
@@ -41,19 +41,19 @@ class _Victim:
 
 @dataclass(slots=True)
 class Adversary:
-    """Forges what some agents send; what others send, and what comes before its start, passes as it is.
+    """Forges the messages of some agents from ``start_s`` to ``end_s``; all other messages pass unchanged.
 
     Args:
         attack: name in ``ATTACKS``, ``OBJECT_ATTACKS`` or ``VIEW_LIES``.
-        agents: whose, ``car_0`` also for ``car_0/lidar``; all where none is named.
-        start_s: seconds after the first that an agent sent.
-        reset_s: seconds until other objects, or another place of the sweep, are attacked.
-        end_s: seconds after the first at which it ends.
-        count: objects that are forged at a time.
-        seed: of all that is random.
+        agents: attacked agents; ``car_0`` includes ``car_0/lidar``. All agents if empty.
+        start_s: start of the attack, seconds after the agent's first message.
+        reset_s: period in seconds after which new objects, or another part of the sweep, are attacked.
+        end_s: end of the attack, seconds after the agent's first message.
+        count: number of objects forged at a time.
+        seed: seed of all random draws.
 
     Raises:
-        ValueError: there is no attack of this name, or a number is out of range.
+        ValueError: no attack has this name, or a number is out of range.
     """
 
     attack: str
@@ -64,7 +64,7 @@ class Adversary:
     count: int = 2
     seed: int = 0
     _victims: dict[str, _Victim] = field(default_factory=dict, repr=False)
-    _met: set[str] = field(default_factory=set, repr=False)
+    _matched: set[str] = field(default_factory=set, repr=False)
 
     def __post_init__(self) -> None:
         one_of("attack", self.attack, (*ATTACKS, *OBJECT_ATTACKS, *VIEW_LIES))
@@ -75,20 +75,20 @@ class Adversary:
             )
 
     def attacks(self, agent: str) -> bool:
-        """Return whether an agent is one of those that are attacked, by its name or by what its name begins with."""
-        found = {name for name in self.agents if agent == name or agent.startswith(f"{name}/")}
-        self._met |= found
-        return not self.agents or bool(found)
+        """Return whether an agent is attacked: ``agents`` is empty, or holds its name or the part before a ``/``."""
+        matches = {name for name in self.agents if agent == name or agent.startswith(f"{name}/")}
+        self._matched |= matches
+        return not self.agents or bool(matches)
 
     def unmet(self) -> frozenset[str]:
-        """Return the names of those agents that nobody has."""
-        return self.agents - self._met
+        """Return the names in ``agents`` that no agent has matched so far."""
+        return self.agents - self._matched
 
     def sweep(self, sweep: Sweep) -> Sweep:
-        """Return a sweep as the adversary lets others see it.
+        """Return the forged sweep; the sweep itself where it is not attacked.
 
         Raises:
-            ValueError: the sweep has nothing that the attack needs.
+            ValueError: the sweep lacks something that the attack needs, such as rings or a pose.
         """
         if self.attack not in ATTACKS or not self.attacks(sweep.agent):
             return sweep
@@ -96,14 +96,14 @@ class Adversary:
         if not self._is_on(victim):
             victim.earlier = [*victim.earlier, sweep][-SWEEPS_KEPT:]
             return sweep
-        # The same draws until the next reset: an attack keeps to its place.
-        number = int((victim.last_s - victim.first_s - self.start_s) / self.reset_s)
-        made: Attack = ATTACKS[self.attack](knowledge=Knowledge(earlier=tuple(victim.earlier)))
-        forged = made.apply(sweep, np.random.default_rng([self.seed, number])).sweep
+        # The same seed until the next reset: the attack stays at its place.
+        period = int((victim.last_s - victim.first_s - self.start_s) / self.reset_s)
+        attack: Attack = ATTACKS[self.attack](knowledge=Knowledge(earlier=tuple(victim.earlier)))
+        forged = attack.apply(sweep, np.random.default_rng([self.seed, period])).sweep
         return forged if forged.agent == sweep.agent else forged.replace(agent=sweep.agent)
 
     def detections(self, leveled: LeveledSweep, detections: Detections) -> Detections:
-        """Return the detections of a sweep, in its ``level`` frame, as the adversary lets others see them."""
+        """Return the forged detections of a sweep, in its ``level`` frame."""
         t_ns, pose = leveled.sweep.t_ns, leveled.world_from_level or Rigid.identity()
         if self.attack not in OBJECT_ATTACKS or not self.attacks(leveled.sweep.agent):
             return detections
@@ -113,7 +113,7 @@ class Adversary:
         return forged.moved(pose.inverse())
 
     def objects(self, agent: str, t_s: float | None, detections: Detections, ground: NDArray[np.float64]) -> Detections:
-        """Return the detections of a time, in a frame that stands still; ``ground`` (3,) lies below the sensor."""
+        """Return forged detections in a static frame; ``ground`` (3,) is the point on the ground below the sensor."""
         if self.attack not in OBJECT_ATTACKS or not self.attacks(agent):
             return detections
         victim = self._victim(agent, t_s)
@@ -127,7 +127,7 @@ class Adversary:
         return victim.objects.apply(detections, victim.last_s, ground).detections
 
     def view(self, estimate: FovEstimate) -> FovEstimate:
-        """Return a field of view as the adversary lets others see it."""
+        """Return the forged field of view; the estimate itself where it is not attacked."""
         if self.attack not in VIEW_LIES or not self.attacks(estimate.agent):
             return estimate
         victim = self._victim(estimate.agent, None if estimate.t_ns is None else 1e-9 * estimate.t_ns)
@@ -139,7 +139,7 @@ class Adversary:
         return lie(victim.views, ViewLie(float(azimuth), amount))
 
     def _victim(self, agent: str, t_s: float | None) -> _Victim:
-        """Return what is remembered of an agent, which is heard now; where its time goes back it begins anew."""
+        """Return the state of an agent after a message at ``t_s``; a time that goes back starts a new state."""
         victim = self._victims.get(agent)
         now_s = t_s if t_s is not None else 0.0 if victim is None else victim.last_s + 0.1
         if victim is None or now_s < victim.last_s:

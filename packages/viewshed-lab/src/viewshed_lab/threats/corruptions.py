@@ -1,4 +1,4 @@
-"""Corruptions: what degrades a sweep without anybody's intent, in five severities each."""
+"""Corruptions: weather, sensor faults and surroundings that degrade a sweep, in five severities each."""
 
 from __future__ import annotations
 
@@ -24,29 +24,29 @@ from viewshed_lab.sim.lidar.optics import Optics, optics_of
 from viewshed_lab.sim.lidar.weather import CONDITIONS, Conditions
 
 NEAREST_M = 0.05
-"""A return that is moved along its ray stays at least this far from the sensor."""
+"""Minimum range of a return that is moved along its ray."""
 
 _EXTENT = BevGrid(256, 64.0)
 
 
 class Corruption(Protocol):
-    """Anything benign that degrades a sweep. The clean sweep is never modified; the same generator, the same bytes."""
+    """A benign degradation of a sweep. The clean sweep is never modified; equal generators give equal bytes."""
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Sweep:
-        """Return the worse sweep: rows are removed or moved, never added, and keep their order and other columns."""
+        """Return the degraded sweep: rows are removed or moved, never added; their order and other columns are kept."""
         ...
 
 
 @runtime_checkable
 class InTheWorld(Corruption, Protocol):
-    """A corruption by things that stand in the world: seen from elsewhere, they are where they were."""
+    """A corruption by things at fixed places in the world, which sensors at other poses see at the same places."""
 
     def place(self, sweep: Sweep, rng: np.random.Generator) -> NDArray[np.float64]:
-        """Return where the things stand (K, 3), in the sensor's frame of a sweep."""
+        """Return random places (K, 3) of the things, in meters in the sensor's frame."""
         ...
 
     def apply_at(self, sweep: Sweep, places: NDArray[np.float64], rng: np.random.Generator) -> Sweep:
-        """Return a sweep with the things at ``places`` (K, 3) in its sensor's frame."""
+        """Return the sweep with the things at ``places`` (K, 3), in meters in its sensor's frame."""
         ...
 
 
@@ -60,7 +60,7 @@ def ranges_of(sweep: Sweep) -> F32:
 
 
 def at_ranges(sweep: Sweep, range_m: NDArray[np.floating[Any]]) -> Sweep:
-    """Return ``sweep`` with each return moved along its ray to ``range_m`` (N,) meters; one at the origin stays there.
+    """Return ``sweep`` with each return moved along its ray to ``range_m`` (N,); returns at the origin stay there.
 
     >>> at_ranges(Sweep(np.array([[0.0, 2.0, 0.0]])), np.array([3.0])).points.tolist()
     [[0.0, 3.0, 0.0]]
@@ -81,12 +81,12 @@ def heights_of(sweep: Sweep) -> F32:
 
 @dataclass(frozen=True, slots=True)
 class DroppedBeams(Checked):
-    """Beams chosen at random return nothing."""
+    """Random beams return nothing."""
 
-    share: Share  # of the returns, rounded to whole ones
+    share: Share  # of the returns; their number is rounded
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Sweep:
-        """Return ``sweep`` without the share."""
+        """Return ``sweep`` without a random share of its returns."""
         keep = np.ones(len(sweep), np.bool_)
         keep[rng.permutation(len(sweep))[: round(self.share * len(sweep))]] = False
         return sweep.select(keep)
@@ -94,13 +94,13 @@ class DroppedBeams(Checked):
 
 @dataclass(frozen=True, slots=True)
 class DroppedSectors(Checked):
-    """Sectors of the revolution are lost: packets that did not arrive, dirt on the window."""
+    """Sectors of the revolution are lost, by missing packets or dirt on the window."""
 
-    sectors: Annotated[int, Between(0, 360)]  # how many; they may overlap
-    width_deg: Annotated[float, Between(0, 360)]  # of each
+    sectors: Annotated[int, Between(0, 360)]  # number of sectors; they may overlap
+    width_deg: Annotated[float, Between(0, 360)]  # of each sector
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Sweep:
-        """Return ``sweep`` without returns in the sectors, by the azimuths of its points."""
+        """Return ``sweep`` without the returns whose points have azimuths in the sectors."""
         azimuth = polar(sweep.points)[1]
         keep = np.ones(len(sweep), np.bool_)
         for middle in rng.uniform(-np.pi, np.pi, self.sectors):
@@ -113,10 +113,10 @@ class DroppedSectors(Checked):
 class DeadRings(Checked):
     """Some of the lasers are dead. Needs rings."""
 
-    share: Share  # of the sensor's rings, rounded to whole ones, at least one
+    share: Share  # of the sensor's rings; their number is rounded, at least one
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Sweep:
-        """Return ``sweep`` without the rings, drawn from all that the sensor has.
+        """Return ``sweep`` without the dead rings, which are drawn from all rings of the sensor.
 
         Raises:
             ValueError: the sweep's rings are not known.
@@ -130,9 +130,9 @@ class DeadRings(Checked):
 
 @dataclass(frozen=True, slots=True)
 class FewerBeams(Checked):
-    """A sensor with fewer rings: of each ``of`` neighbors the lowest ``kept`` keep their numbers. Needs rings."""
+    """A sensor with fewer rings: the lowest ``kept`` of each ``of`` neighboring rings remain. Needs rings."""
 
-    kept: int  # rings that remain of each group
+    kept: int  # rings that remain in each group
     of: Annotated[int, Between(1, 4096)]  # rings in a group
 
     def __post_init__(self) -> None:
@@ -140,7 +140,7 @@ class FewerBeams(Checked):
         Between(1, self.of).check("kept", self.kept)
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Sweep:
-        """Return ``sweep`` without the other rings; nothing is random, and ``rng`` is left as it was.
+        """Return ``sweep`` without the other rings; ring numbers are kept, and ``rng`` is not used.
 
         Raises:
             ValueError: the sweep's rings are not known.
@@ -152,14 +152,14 @@ class FewerBeams(Checked):
 
 
 PERIOD_S = 0.1
-"""Duration of a revolution where the sweep has no times."""
+"""Duration of a revolution if the sweep has no times."""
 
 
 @dataclass(frozen=True, slots=True)
 class RangeNoise(Checked):
-    """Normal noise along the ray, beyond the sensor's own."""
+    """Normal noise along the ray, added to the sensor's own."""
 
-    sigma_m: Annotated[float, Between(0, 10)]  # its standard deviation
+    sigma_m: Annotated[float, Between(0, 10)]  # standard deviation
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Sweep:
         """Return ``sweep`` with noisy ranges."""
@@ -168,17 +168,17 @@ class RangeNoise(Checked):
 
 @dataclass(frozen=True, slots=True)
 class MotionDistortion(Checked):
-    """Ego motion that nobody undid: each return stays in the sensor's frame at its own time.
+    """Ego motion without deskewing: each return stays in the sensor's frame at its own time.
 
     The sensor drives forward and turns to a random side at constant rates; the middle of the revolution is the
-    reference. Times are the sweep's own, else by azimuth: from -π to π in :data:`PERIOD_S`.
+    reference. Times are those of the sweep; without them they follow azimuth, from -π to π in :data:`PERIOD_S`.
     """
 
     speed_mps: Annotated[float, Between(0, 100)]  # forward
-    yaw_rate_degps: Annotated[float, Between(0, 360)]  # how fast it turns
+    yaw_rate_degps: Annotated[float, Between(0, 360)]  # magnitude
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Sweep:
-        """Return ``sweep`` sheared by the motion; firing azimuths and times are as before."""
+        """Return ``sweep`` distorted by the motion; firing azimuths and times are unchanged."""
         time_s = _from_middle_s(sweep)
         turned = -time_s * np.deg2rad(self.yaw_rate_degps) * (1 if rng.random() < 0.5 else -1)
         x, y, z = sweep.points.T
@@ -188,7 +188,7 @@ class MotionDistortion(Checked):
 
 
 def _from_middle_s(sweep: Sweep) -> NDArray[np.float64]:
-    """Return the time of each return (N,) from the middle of the revolution, in seconds."""
+    """Return the time of each return (N,) relative to the middle of the revolution, in seconds."""
     if sweep.time_s is not None and len(sweep) and np.ptp(sweep.time_s) > 0:
         time_s = sweep.time_s.astype(np.float64)
         return np.asarray(time_s - (time_s.min() + time_s.max()) / 2)
@@ -197,12 +197,12 @@ def _from_middle_s(sweep: Sweep) -> NDArray[np.float64]:
 
 @dataclass(frozen=True, slots=True)
 class Miscalibration(Checked):
-    """Roll and pitch are wrong by a tilt about a random horizontal axis; a sweep without an attitude gets this one."""
+    """The attitude is wrong by a tilt about a random horizontal axis; without an attitude, the tilt becomes it."""
 
-    tilt_deg: Annotated[float, Between(0, 45)]  # angle between the vertical that is claimed and the true one
+    tilt_deg: Annotated[float, Between(0, 45)]  # angle between the reported and the true vertical
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Sweep:
-        """Return ``sweep`` with a wrong attitude, and a wrong rotation of its pose; the points are as measured."""
+        """Return ``sweep`` with wrong attitude and wrong rotation of its pose; the points are unchanged."""
         known, pose = sweep.known_attitude, sweep.world_from_sensor
         level_from_sensor = np.eye(3) if known is None else rotation_from_quaternion(known)
         tilt = _tilt(float(rng.uniform(-np.pi, np.pi)), np.deg2rad(self.tilt_deg))
@@ -222,23 +222,23 @@ def _tilt(heading: float, angle: float) -> NDArray[np.float64]:
 
 @dataclass(frozen=True, slots=True)
 class Slope(Checked):
-    """The world bends upward: beyond a line to a random side, everything is raised in proportion to its distance."""
+    """A slope in a random direction: points beyond its foot are raised in proportion to their distance from it."""
 
     grade: Annotated[float, Between(-1, 1)]  # rise over run
-    start_m: Annotated[float, Between(0, 1000)]  # where the slope begins
+    start_m: Annotated[float, Between(0, 1000)]  # distance of the foot from the sensor
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Sweep:
-        """Return ``sweep`` sheared along the sensor's z; x, y and the rings stay."""
+        """Return ``sweep`` sheared along the sensor's z; x, y and rings are unchanged."""
         return self.apply_at(sweep, self.place(sweep, rng), rng)
 
     def place(self, sweep: Sweep, rng: np.random.Generator) -> NDArray[np.float64]:
-        """Return the nearest point of the line where the slope begins, and one a meter up the slope from it (2, 3)."""
+        """Return two points (2, 3): the nearest one of the foot of the slope, and one a meter uphill from it."""
         heading = rng.uniform(-np.pi, np.pi)
         uphill = np.array([np.cos(heading), np.sin(heading), 0.0])
         return np.stack([self.start_m * uphill, (self.start_m + 1.0) * uphill])
 
     def apply_at(self, sweep: Sweep, places: NDArray[np.float64], rng: np.random.Generator) -> Sweep:
-        """Return ``sweep`` with a slope that begins at the first of ``places`` (2, 3) and rises towards the second."""
+        """Return ``sweep`` with a slope that starts at the first of ``places`` (2, 3) and rises toward the second."""
         foot, above = places[:, :2]
         beyond = (sweep.points[:, :2] - foot) @ (above - foot)
         points = sweep.points.copy()
@@ -247,28 +247,28 @@ class Slope(Checked):
 
 
 ABOVE_GROUND_M = 0.3
-"""Surfaces whose returns lie higher than this above local ground may be panes, if there are any."""
+"""Glass patches are centered on returns higher than this above local ground, if there are any."""
 
 BUSH_RANGES_M = (3.0, 40.0)
-"""Horizontal ranges at which bushes stand."""
+"""Minimum and maximum horizontal range of bushes."""
 
 BEFORE_SURFACE = (0.3, 0.9)
-"""A bush stands at this share of the way to the surface that it hides."""
+"""Minimum and maximum range of a bush, as a share of the range of the surface that it hides."""
 
 
 @dataclass(frozen=True, slots=True)
 class GlassPatches(Checked):
     """Glass, mirrors and absorbers: contiguous patches of surfaces return nothing."""
 
-    patches: Annotated[int, Between(0, 1000)]  # how many
-    radius_m: Annotated[float, Between(0, 100)]  # returns within this distance of the middle of a patch are gone
+    patches: Annotated[int, Between(0, 1000)]  # number of patches
+    radius_m: Annotated[float, Between(0, 100)]  # returns within this distance of a patch's center are removed
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Sweep:
         """Return ``sweep`` without the patches."""
         return self.apply_at(sweep, self.place(sweep, rng), rng)
 
     def place(self, sweep: Sweep, rng: np.random.Generator) -> NDArray[np.float64]:
-        """Return the middles (patches, 3) of the patches: returns above the ground, where there are any."""
+        """Return the centers (patches, 3) of the patches: random returns above the ground, else any returns."""
         if len(sweep) == 0:
             return np.zeros((0, 3))
         raised = np.flatnonzero(heights_of(sweep) > ABOVE_GROUND_M)
@@ -278,27 +278,27 @@ class GlassPatches(Checked):
     def apply_at(self, sweep: Sweep, places: NDArray[np.float64], rng: np.random.Generator) -> Sweep:
         """Return ``sweep`` without the patches around ``places`` (K, 3)."""
         keep = np.ones(len(sweep), np.bool_)
-        for middle in places.astype(np.float32):
-            apart = sweep.points - middle
-            keep &= np.einsum("ij,ij->i", apart, apart) > self.radius_m**2
+        for center in places.astype(np.float32):
+            offset = sweep.points - center
+            keep &= np.einsum("ij,ij->i", offset, offset) > self.radius_m**2
         return sweep.select(keep)
 
 
 @dataclass(frozen=True, slots=True)
 class Vegetation(Checked):
-    """Bushes before surfaces: balls of leaves in which a beam stops after a random path (Beer's law), or passes."""
+    """Bushes in front of surfaces: balls of leaves that stop a beam after a random path length (Beer's law)."""
 
-    bushes: Annotated[int, Between(0, 1000)]  # how many
+    bushes: Annotated[int, Between(0, 1000)]  # number of bushes
     radius_m: Annotated[float, Between(0, BUSH_RANGES_M[0] - 0.5)]  # of each
-    # stops per meter of path; the simulator's leaves by default
+    # stops per meter of path; default: the simulator's leaves
     per_m: Annotated[float, Between(0, 1e6)] = float(PER_M[material_index("leaves")])
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Sweep:
-        """Return ``sweep`` with the returns that the leaves stopped moved nearer along their rays."""
+        """Return ``sweep`` with the returns of stopped beams moved along their rays into the bushes."""
         return self.apply_at(sweep, self.place(sweep, rng), rng)
 
     def place(self, sweep: Sweep, rng: np.random.Generator) -> NDArray[np.float64]:
-        """Return the middles (bushes, 3) of the bushes, each before a return; none where all returns are near."""
+        """Return the centers (bushes, 3) of the bushes, each in front of a return; none if all returns are near."""
         flat_m = np.hypot(sweep.points[:, 0], sweep.points[:, 1])
         hidden = np.flatnonzero(flat_m * BEFORE_SURFACE[0] > BUSH_RANGES_M[0])
         if len(hidden) == 0:
@@ -313,20 +313,20 @@ class Vegetation(Checked):
             return sweep
         range_m = ranges_of(sweep).astype(np.float64)
         direction = sweep.points / np.maximum(range_m, 1e-9)[:, None]
-        for middle in places:
-            self._grow(middle, direction, range_m, rng)
+        for center in places:
+            self._stop_beams(center, direction, range_m, rng)
         return at_ranges(sweep, range_m)
 
-    def _grow(
+    def _stop_beams(
         self,
-        middle: NDArray[np.float64],
+        center: NDArray[np.float64],
         direction: NDArray[np.float64],
         range_m: NDArray[np.float64],
         rng: np.random.Generator,
     ) -> None:
-        """Shorten the ranges (N,) of the beams that stop in the ball around ``middle``."""
-        nearest = direction @ middle
-        half2 = self.radius_m**2 - (middle @ middle - nearest**2)
+        """Shorten the ranges (N,) of the beams that stop in the ball around ``center``, in place."""
+        nearest = direction @ center
+        half2 = self.radius_m**2 - (center @ center - nearest**2)
         crossing = np.flatnonzero((half2 > 0) & (nearest > 0) & (range_m > 0))
         half = np.sqrt(half2[crossing])
         path = rng.standard_exponential(len(crossing)) / max(self.per_m, 1e-9)
@@ -336,34 +336,34 @@ class Vegetation(Checked):
 
 
 REFLECTIVITY = 0.2
-"""What a surface is taken to send back: its own is not known, intensities have no common scale."""
+"""Assumed reflectivity of every surface: the real one is unknown, as intensities have no common scale."""
 
 GROUND_M = 0.2
-"""Returns lower than this above local ground are the ground, which may be wet."""
+"""Returns lower than this above local ground are ground, which may be wet."""
 
 NO_SENSOR = (Optics(), (0.5, 100.0))
-"""Optics, and minimum and maximum range in meters, of a sweep whose sensor is not known."""
+"""Assumed optics, and minimum and maximum range in meters, of an unknown sensor."""
 
 FAINT = 0.05
-"""A particle is given the intensity below which this share of the sweep's returns lies."""
+"""Returns of particles get this quantile of the sweep's intensities."""
 
 _WEAK = 3.0
 
 
 @dataclass(frozen=True, slots=True)
 class Weather:
-    """Conditions of the simulator on a sweep that was measured without them.
+    """Weather conditions of the simulator, applied to a sweep that was measured in clear air.
 
-    A return of signal s was detected, with probability F(s) = 1 / (1 + s⁻⁴); in weather its signal is s' = s · wet ·
-    exp(-2 α r), and it survives with probability F(s') / F(s). Particles in the air replace a return where theirs is
-    the stronger signal. Range noise grows by what s' adds to √(1 + 3 / s). All as in ``sim.lidar.measurement``;
-    s = 0.2 / 0.1 · (reach / r)², as the surface's own reflectivity is not known.
+    A return of signal s was detected with probability F(s) = 1 / (1 + s⁻⁴). In weather its signal is s' = s · wet ·
+    exp(-2 α r), and it survives with probability F(s') / F(s). A particle in the air replaces a return if its signal
+    is stronger. Range noise grows from σ √(1 + 3 / s) to σ · noise · √(1 + 3 / s'). All as in
+    ``sim.lidar.measurement``; s = 0.2 / 0.1 · (reach / r)², as the surface's own reflectivity is unknown.
     """
 
-    conditions: Conditions  # of the simulator; shares of missing beams, dead rings and sectors are not used here
+    conditions: Conditions  # of the simulator; its shares of missing beams, dead rings and sectors are not used
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Sweep:
-        """Return ``sweep`` as it would have been in this weather; beams without a return stay without one."""
+        """Return ``sweep`` in this weather; beams without a return stay without one."""
         optics, (near_m, far_m) = _sensor(sweep.model)
         range_m = np.maximum(ranges_of(sweep).astype(np.float64), 1e-3)
         kept_light, particle_m, glint = self._air(optics, far_m, range_m, rng)
@@ -376,31 +376,31 @@ class Weather:
         return _fainter(moved, kept_light, hit).select(seen | hit)
 
     def _air(self, optics: Optics, far_m: float, range_m: F64, rng: np.random.Generator) -> tuple[F64, F64, F64]:
-        """Return, for each return, the light that the air leaves, the range of a particle before it, and its signal.
+        """Return transmittance, range in meters of a particle in the beam, and the particle's signal, each (N,).
 
-        The range is infinite where the beam meets none that would be detected.
+        The range is infinite where the beam meets no detectable particle.
         """
         loss, particles = air(optics, self.conditions, far_m)
         kept_light = np.interp(range_m, np.linspace(0.0, far_m, len(loss) - 1), loss[:-1])
-        luck, size = rng.random((2, len(range_m)))
-        particle_m = _between(particles, luck)
+        quantile, size = rng.random((2, len(range_m)))
+        particle_m = _interpolate(particles, quantile)
         reach_m = particle_reach_m(optics, self.conditions, far_m)
         return kept_light, particle_m, 1 + size / (1 - size) * (reach_m / particle_m) ** 2
 
 
-def _between(table: NDArray[np.float32], luck: F64) -> F64:
-    """Return the entry at each luck (N,) in [0, 1), interpolated; infinite where the next one is."""
-    position = luck * (len(table) - 1)
+def _interpolate(table: NDArray[np.float32], quantile: F64) -> F64:
+    """Return the table's values at quantiles (N,) in [0, 1), linearly interpolated; inf if the upper entry is inf."""
+    position = quantile * (len(table) - 1)
     low = position.astype(np.intp)
     ends = table.astype(np.float64)[np.stack([low, low + 1])]
     finite = np.isfinite(ends[1])
-    range_m = np.full(len(luck), np.inf)
+    range_m = np.full(len(quantile), np.inf)
     range_m[finite] = ends[0][finite] + (ends[1][finite] - ends[0][finite]) * (position - low)[finite]
     return np.asarray(np.maximum(range_m, 1e-3), np.float64)
 
 
 def _sensor(model: LidarModel | None) -> tuple[Optics, tuple[float, float]]:
-    """Return optics, minimum and maximum range in meters; one that detects everything gets an unknown one's reach."""
+    """Return optics, minimum and maximum range in meters; an infinite reach becomes that of an unknown sensor."""
     if model is None:
         return NO_SENSOR
     optics = optics_of(model)
@@ -414,13 +414,13 @@ def _detected(signal: F64) -> F64:
 
 
 def _extra_noise(dry: F64, signal: F64, sigma_m: float, factor: float) -> F64:
-    """Return the standard deviation (N,) in meters that weather adds to the noise that is there."""
+    """Return the standard deviation (N,) in meters of the range noise that weather adds."""
     added = factor**2 * (1 + _WEAK / np.maximum(signal, 1e-3)) - (1 + _WEAK / dry)
     return np.asarray(sigma_m * np.sqrt(np.maximum(added, 0.0)), np.float64)
 
 
 def _fainter(sweep: Sweep, kept_light: F64, hit: NDArray[np.bool_]) -> Sweep:
-    """Return ``sweep`` with the intensities that the air leaves, and those of particles."""
+    """Return ``sweep`` with attenuated intensities, and those of particles where ``hit``."""
     if sweep.intensity is None or len(sweep) == 0:
         return sweep
     faint = np.quantile(sweep.intensity, FAINT)
@@ -440,7 +440,7 @@ _WEATHER: dict[str, tuple[str | tuple[float, ...], ...]] = {
     "snow": ((0.0013, 0.01, 0.95, 1.1), "snow", (0.0058, 0.03, 0.85, 1.3), (0.0118, 0.05, 0.8, 1.4),
              (0.0225, 0.08, 0.75, 1.5)),
 }  # fmt: skip
-"""Conditions by name, or those of the same name as here with other numbers."""
+"""By name and severity: a name in ``CONDITIONS``, or values of ``_COLUMNS`` that replace those of ``CONDITIONS``."""
 
 
 def _like(name: str, numbers: tuple[float, ...]) -> Conditions:
@@ -448,7 +448,7 @@ def _like(name: str, numbers: tuple[float, ...]) -> Conditions:
 
 
 SEVERITIES: dict[str, tuple[Corruption, ...]] = {
-    **{name: tuple(Weather(CONDITIONS[one] if isinstance(one, str) else _like(name, one)) for one in rows)
+    **{name: tuple(Weather(CONDITIONS[row] if isinstance(row, str) else _like(name, row)) for row in rows)
        for name, rows in _WEATHER.items()},
     "dropped_beams": tuple(map(DroppedBeams, (0.05, 0.1, 0.2, 0.4, 0.7))),
     "dropped_sectors": tuple(map(DroppedSectors, (1, 1, 1, 2, 3), (5.0, 15.0, 30.0, 30.0, 45.0))),
@@ -461,8 +461,8 @@ SEVERITIES: dict[str, tuple[Corruption, ...]] = {
     "vegetation": tuple(map(Vegetation, (2, 4, 8, 12, 20), (0.8, 1.0, 1.2, 1.5, 2.0))),
     "slope": tuple(map(Slope, (0.02, 0.04, 0.06, 0.09, 0.12), (5.0, 5.0, 5.0, 5.0, 5.0))),
 }  # fmt: skip
-"""By name, from severity 1 to 5; rain of 5, 10, 25, 50 and 100 mm/h, fog with 500, 200, 100, 50 and 25 m of visibility,
-and snow of 1, 2, 3, 5 and 8 mm/h."""
+"""By name, from severity 1 to 5. Rain: 5, 10, 25, 50 and 100 mm/h. Fog: 500, 200, 100, 50 and 25 m of visibility.
+Snow: 1, 2, 3, 5 and 8 mm/h."""
 
 
 def _of_severity(name: str, severity: int) -> Corruption:

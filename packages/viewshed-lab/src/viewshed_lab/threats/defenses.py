@@ -1,4 +1,4 @@
-"""Defenses: what drops or reports returns that look wrong, without knowing the attack."""
+"""Defenses: filters that drop implausible returns, or raise an alarm, without knowing the attack."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ class Defended:
     """A sweep after a defense.
 
     Raises:
-        ValueError: the mask does not fit the sweep.
+        ValueError: the mask does not match the sweep.
     """
 
-    sweep: Sweep  # the returns that are kept, in their order, with their columns
-    dropped: NDArray[np.bool_]  # (N,) bool, rows of the sweep that was handed in that are gone
-    alarm: bool | None  # whether the defense says that something is wrong, or None where it only drops returns
-    # the defense's doubt in [0, 1]: the share of the returns that it dropped, or what its alarm is raised on
+    sweep: Sweep  # the kept returns, in their order, with all columns
+    dropped: NDArray[np.bool_]  # (N,) bool, dropped rows of the input sweep
+    alarm: bool | None  # whether an alarm is raised; None if the defense only drops returns
+    # anomaly score in [0, 1]: the share of dropped returns, or the quantity that the alarm tests
     score: float
 
     def __post_init__(self) -> None:
@@ -42,10 +42,10 @@ class Defended:
 
 
 class Defense(Protocol):
-    """Anything that mends or judges a sweep without a map of the attack. The sweep is never modified."""
+    """A filter or check of a sweep that does not know the attack. The sweep is never modified."""
 
     def apply(self, sweep: Sweep) -> Defended:
-        """Return what is kept, what was dropped, and whether to worry. The order of the points does not matter."""
+        """Return the kept returns, the dropped rows and the alarm. The order of the points does not matter."""
         ...
 
 
@@ -59,17 +59,17 @@ def without(sweep: Sweep, dropped: NDArray[np.bool_]) -> Defended:
 
 
 HOUSING_M = 1.0
-"""Returns nearer than this are null returns or the sensor's own housing: they come several to a beam."""
+"""Returns nearer than this are null returns or the sensor's own housing: there may be several per beam."""
 
 BINS = 360
-"""Azimuth bins in which empty sectors are looked for."""
+"""Number of azimuth bins of the search for empty sectors."""
 
 
 @dataclass(frozen=True, slots=True)
 class RangeValidation:
     """Drops returns nearer or farther than the sensor can measure.
 
-    The limits are those of the sweep's sensor; 0.5 and 250 m where it is not known.
+    The limits are those of the sweep's sensor; 0.5 and 250 m if the sensor is unknown.
     """
 
     def apply(self, sweep: Sweep) -> Defended:
@@ -82,17 +82,17 @@ class RangeValidation:
 
 @dataclass(frozen=True, slots=True)
 class OneReturnPerBeam(Checked):
-    """Drops all returns of a beam but the nearest. Needs rings.
+    """Drops all returns of a beam except the nearest. Needs rings.
 
-    Two returns share a beam if they share a ring and their firing azimuths (those of the points where the sweep has
-    none) lie within ``tolerance`` of a firing step. Which one is real is not known; the nearest one is kept because a
-    claim to see through a surface is the dangerous one. Returns nearer than 1 m, and those of no ring, are left alone.
+    Two returns share a beam if they share a ring and their firing azimuths (without these, azimuths of the points)
+    differ by at most ``tolerance`` firing steps. Which one is real is unknown; the nearest is kept because seeing
+    through a surface is the dangerous error. Returns nearer than 1 m, and those without a ring, are kept.
     """
 
     tolerance: Annotated[float, Between(0, 0.999)] = 0.25  # share of the azimuth step between two firings
 
     def apply(self, sweep: Sweep) -> Defended:
-        """Return ``sweep`` with one return a beam.
+        """Return ``sweep`` with one return per beam.
 
         Raises:
             ValueError: the sweep's rings are not known.
@@ -113,7 +113,7 @@ class OneReturnPerBeam(Checked):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _farther_on_beam(ring: Any, azimuth: Any, nearest_first: Any, reach: float) -> Any:
-    """Return (N,) bool: returns that lie within ``reach`` of a kept nearer one; sorted by ring and azimuth."""
+    """Return the returns (N,) bool within ``reach`` radians of a kept nearer one; input sorted by ring and azimuth."""
     count = len(ring)
     starts = np.searchsorted(ring, ring, side="left")
     ends = np.searchsorted(ring, ring, side="right")
@@ -134,28 +134,28 @@ def _farther_on_beam(ring: Any, azimuth: Any, nearest_first: Any, reach: float) 
 
 @dataclass(frozen=True, slots=True)
 class EmptySectorCheck(Checked):
-    """Raises an alarm where a sector of the revolution has hardly any returns; drops nothing.
+    """Raises an alarm if a sector of the revolution has hardly any returns; drops nothing.
 
-    A bin of one degree is empty with fewer returns than ``share`` of the median bin (of those with any). The score is
-    the widest run of empty bins as a share of the revolution.
+    A bin of one degree is empty if it has fewer returns than ``share`` of the median of the bins with any. The score
+    is the widest run of empty bins as a share of the revolution.
     """
 
-    width_deg: Annotated[float, Between(0, 360, open=True)] = 5.0  # a run at least this wide raises the alarm
+    width_deg: Annotated[float, Between(0, 360, open=True)] = 5.0  # minimum width of a run that raises the alarm
     share: Annotated[float, Between(0, 1, open=True)] = 0.1  # of the median bin
 
     def apply(self, sweep: Sweep) -> Defended:
-        """Return ``sweep`` as it is, with an alarm; an empty sweep raises it."""
+        """Return ``sweep`` unchanged, with the alarm; an empty sweep raises it."""
         range_m = np.linalg.norm(sweep.points, axis=1)
         azimuth = polar(sweep.points[range_m >= HOUSING_M])[1].astype(np.float64)
         counts = np.bincount(((azimuth + np.pi) * (BINS / (2 * np.pi))).astype(np.intp) % BINS, minlength=BINS)
-        some = counts[counts > 0]
-        empty = counts < max(self.share * np.median(some), 1) if len(some) else np.ones(BINS, np.bool_)
-        score = _widest(empty) / BINS
+        positive = counts[counts > 0]
+        empty = counts < max(self.share * np.median(positive), 1) if len(positive) else np.ones(BINS, np.bool_)
+        score = _longest_run(empty) / BINS
         return Defended(sweep, np.zeros(len(sweep), np.bool_), score * 360 >= self.width_deg, score)
 
 
-def _widest(empty: NDArray[np.bool_]) -> int:
-    """Return the length of the longest run of True in a circle."""
+def _longest_run(empty: NDArray[np.bool_]) -> int:
+    """Return the length of the longest run of True in a circular mask."""
     full = np.flatnonzero(~empty)
     if len(full) == 0:
         return len(empty)
@@ -163,7 +163,7 @@ def _widest(empty: NDArray[np.bool_]) -> int:
 
 
 _ROUNDING = 1e-6
-"""Share of the limit by which mean distances may exceed it: rounding makes no outlier of a lattice."""
+"""Relative tolerance of the limit, so that rounding does not make outliers in a regular lattice."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,19 +174,19 @@ class StatisticalOutlierRemoval(Checked):
     ``StatisticalOutlierRemoval`` with the parameters of its tutorial.
     """
 
-    # nearest others of each return; all others where there are fewer
+    # number of nearest other returns; all others if there are fewer
     neighbors: Annotated[int, Between(1, 1000)] = 50
     deviations: Annotated[float, Between(-1e6, 1e6)] = 1.0  # multiples of the standard deviation (of N - 1)
 
     def apply(self, sweep: Sweep) -> Defended:
-        """Return ``sweep`` without statistical outliers; one of fewer than three returns is kept."""
+        """Return ``sweep`` without statistical outliers; a sweep of fewer than three returns is kept."""
         count = len(sweep)
         if count < 3:
             return without(sweep, np.zeros(count, np.bool_))
         points, k = sweep.points.astype(np.float64), min(self.neighbors, count - 1)
         distances_m, _ = KDTree(points).query(points, k=k + 1)  # a return is its own nearest, at 0
         means = distances_m.sum(axis=1) / k
-        ordered = np.sort(means)  # so that the order of the points has no say in the sums
+        ordered = np.sort(means)  # makes the sums independent of the order of the points
         limit = ordered.mean() + self.deviations * ordered.std(ddof=1)
         return without(sweep, means > limit * (1 + _ROUNDING))
 
@@ -198,40 +198,39 @@ class RadiusOutlierRemoval(Checked):
     As PCL's ``RadiusOutlierRemoval`` with the parameters of its tutorial.
     """
 
-    radius_m: Annotated[float, Between(0, 1000, open=True)] = 0.8  # the distance itself counts as within
-    neighbors: Annotated[int, Between(1)] = 2  # others that a return needs
+    radius_m: Annotated[float, Between(0, 1000, open=True)] = 0.8  # inclusive
+    neighbors: Annotated[int, Between(1)] = 2  # minimum number of other returns
 
     def apply(self, sweep: Sweep) -> Defended:
-        """Return ``sweep`` without lonely returns."""
+        """Return ``sweep`` without isolated returns."""
         points = sweep.points.astype(np.float64)
-        return without(sweep, ~_have(points, points, self.neighbors + 1, self.radius_m))
+        return without(sweep, ~_has_neighbors(points, points, self.neighbors + 1, self.radius_m))
 
 
 @dataclass(frozen=True, slots=True)
 class ClusteringOutlierRemoval(Checked):
-    """Drops returns that DBSCAN calls noise: no cluster's core lies within ``radius_m``.
+    """Drops returns that DBSCAN calls noise: no core point lies within ``radius_m``.
 
-    Ester et al. 1996 with scikit-learn's parameters: a core has ``fewest`` returns within the radius, itself included.
-    The clusters themselves are not needed to know what belongs to none.
+    Ester et al. 1996 with scikit-learn's parameters: a core point has ``fewest`` returns within the radius, itself
+    included. Noise follows from the core points alone, so the clusters are not computed.
     """
 
-    # the distance itself counts as within (``eps``)
-    radius_m: Annotated[float, Between(0, 1000, open=True)] = 0.5
-    fewest: Annotated[int, Between(2)] = 5  # returns about a core (``min_samples``)
+    radius_m: Annotated[float, Between(0, 1000, open=True)] = 0.5  # ``eps``, inclusive
+    fewest: Annotated[int, Between(2)] = 5  # minimum number of returns around a core point (``min_samples``)
 
     def apply(self, sweep: Sweep) -> Defended:
         """Return ``sweep`` without noise."""
         points = sweep.points.astype(np.float64)
-        in_cluster = _have(points, points, self.fewest, self.radius_m)
-        in_cluster[~in_cluster] = _have(points[in_cluster], points[~in_cluster], 1, self.radius_m)
+        in_cluster = _has_neighbors(points, points, self.fewest, self.radius_m)
+        in_cluster[~in_cluster] = _has_neighbors(points[in_cluster], points[~in_cluster], 1, self.radius_m)
         return without(sweep, ~in_cluster)
 
 
-def _have(points: NDArray[np.float64], queried: NDArray[np.float64], count: int, radius_m: float) -> NDArray[np.bool_]:
-    """Return (M,) which of ``queried`` (M, 3) have at least ``count`` of ``points`` (N, 3) within a radius."""
+def _has_neighbors(points: F64, queried: F64, count: int, radius_m: float) -> Mask:
+    """Return which of ``queried`` (M, 3) have at least ``count`` of ``points`` (N, 3) within a radius, (M,) bool."""
     if not len(points) or not len(queried):
         return np.zeros(len(queried), np.bool_)
-    beyond_m = np.nextafter(radius_m, np.inf)  # the search leaves out its own bound
+    beyond_m = np.nextafter(radius_m, np.inf)  # the bound of the query is exclusive
     farthest_m, _ = KDTree(points).query(queried, k=[count], distance_upper_bound=beyond_m)
     return np.asarray(farthest_m[:, 0] <= radius_m)
 
@@ -241,21 +240,21 @@ _NEAREST_M = 1.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TemporalConsistency:
-    """Drops returns where at least one earlier sweep saw through, and none saw a surface.
+    """Drops returns through which an earlier sweep saw, unless an earlier sweep saw a surface there.
 
-    A return is seen through where both rings next to its direction, in the three columns about it, returned from more
-    than ``margin_m`` behind it; a surface was seen where one of them returned from within that of it. Where the two
-    rings are more than ``gap_m`` apart something may stand between them, and nothing is concluded. What has moved there
-    since is dropped, too: that is the cost.
+    Compare a return with the earlier pixels around its direction: the two nearest rings, three columns each. It is
+    seen through if both rings returned and all returns are more than ``margin_m`` behind it. A surface was seen if any
+    of them is within ``margin_m`` of it. Nothing is concluded if the two rings are more than ``gap_m`` apart, as an
+    object may stand between them. The cost: objects that moved there since are dropped, too.
 
     Raises:
         ValueError: an earlier sweep has no pose or no rings, or a distance is not positive.
     """
 
-    # sweeps with poses and rings in the same map; none make a defense that drops nothing
+    # sweeps with rings and poses in the same map; without any, nothing is dropped
     earlier: tuple[Sweep, ...] = ()
-    margin_m: float = 1.0  # how much farther than the return an earlier one must lie
-    gap_m: float = 1.0  # greatest distance of two rings at the return
+    margin_m: float = 1.0  # minimum distance of an earlier return behind the return
+    gap_m: float = 1.0  # maximum distance of the two rings at the return
     _views: tuple[_View, ...] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -287,12 +286,12 @@ def _pose(sweep: Sweep) -> Rigid:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _View:
-    """What one earlier sweep saw: its nearest return a pixel (rings, columns), +inf where there is none."""
+    """Range image of one earlier sweep."""
 
     sensor_from_world: Rigid
-    elevation: F64
-    order: NDArray[np.intp]
-    depth_m: F64
+    elevation: F64  # (R,) radians of the rings with returns, ascending
+    order: NDArray[np.intp]  # (R,) numbers of these rings
+    depth_m: F64  # (rings, columns) range of the nearest return of each pixel, +inf if there is none
 
     @classmethod
     def of(cls, sweep: Sweep) -> _View:
@@ -307,7 +306,7 @@ class _View:
         return cls(pose.inverse(), beams.elevation[order], order, depth_m)
 
     def judge(self, in_world: F64, margin_m: float, gap_m: float) -> tuple[Mask, Mask]:
-        """Return which points (N, 3) it saw through (N,), and at which it saw a surface (N,)."""
+        """Return the masks (N,) of points (N, 3) that it saw through, and of those where it saw a surface."""
         points = self.sensor_from_world @ in_world
         flat_m, azimuth = polar(points)
         range_m = np.hypot(flat_m, points[:, 2])
@@ -340,5 +339,5 @@ DEFENSES: dict[str, Callable[[], Defense]] = {
     "empty_sector": EmptySectorCheck,
     "temporal": TemporalConsistency,
 }
-"""By name, with the published parameters: ``DEFENSES[name]().apply(sweep)``. ``temporal`` drops nothing until it is
-made with earlier sweeps: ``TemporalConsistency(earlier)``."""
+"""By name, with the published parameters: ``DEFENSES[name]().apply(sweep)``. ``temporal`` drops nothing unless it is
+given earlier sweeps: ``TemporalConsistency(earlier)``."""

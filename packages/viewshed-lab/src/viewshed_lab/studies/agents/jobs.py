@@ -1,4 +1,4 @@
-"""The jobs of the study: one a scene, whose file all runs share, then one a scene for all of its cases."""
+"""The jobs of the study of many agents: first simulate each scene to a file, then run all its cases."""
 
 from __future__ import annotations
 
@@ -30,17 +30,17 @@ def run_study(
     steps: tuple[str, ...] = STEPS,
     on_progress: Progress = lambda *_: None,
 ) -> Iterator[str]:
-    """Do what is not there yet; yield one line for each job that failed.
+    """Run the jobs that are not in the store; yield one line for each failed job.
 
     Args:
-        store: of the study.
-        engine: does the jobs.
-        steps: of ``STEPS``.
+        store: store of the study.
+        engine: runs the jobs.
+        steps: steps to run, of ``STEPS``.
         on_progress: is called after each job.
 
     Raises:
-        ValueError: a step is not known.
-        OSError: something cannot be written.
+        ValueError: a step is unknown.
+        OSError: a file cannot be written.
     """
     check_names("only", steps, STEPS)
     (store.folder / FOLDER).mkdir(exist_ok=True)
@@ -56,18 +56,18 @@ def run_study(
 
 
 def fitted_honest(store: ResultStore[AgentsPlan]) -> HonestModel:
-    """Return what honest agents do in the scenes of their split."""
+    """Return the model of honest agents, fitted on the scenes of the split ``learning``."""
     examples, compared, elevated = list[HonestExamples](), list[Comparisons](), list[Mask]()
     for number in range(store.plan.learning):
         scene = Scene.load(scene_path(store.folder, "learning", number))
-        some, views = honest_examples(scene, generator(store.plan.seed, "honest", number))
-        examples, compared = examples + some, compared + views
+        of_scene, views = honest_examples(scene, generator(store.plan.seed, "honest", number))
+        examples, compared = examples + of_scene, compared + views
         elevated += [np.array([report.elevated for report in scene.reports(0)])] * len(views)
     return fit_honest(examples, Surprises.fit(compared, elevated))
 
 
 def do_job(job: Job[AgentsPlan]) -> JobResult:
-    """Make a scene, or run one in all of its cases."""
+    """Simulate a scene, or run one in all of its cases."""
     step, split, number = job.key
     path = scene_path(job.folder, split, int(number))
     if step == "scene":

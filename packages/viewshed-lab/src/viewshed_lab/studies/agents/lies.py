@@ -1,4 +1,4 @@
-"""How agents of a scene lie: about objects, about what they see, alone or together, or to have another one expelled."""
+"""Lies of agents in a scene: about objects or views, alone or in collusion, or to get an honest agent expelled."""
 
 from __future__ import annotations
 
@@ -14,52 +14,52 @@ from viewshed.detections import Detections, ObjectKind
 from viewshed_lab.threats.view_attacks import VIEW_LIES, ViewLie, with_objects, without_objects
 
 FORGED = 3
-"""Objects that are fabricated, removed or moved at a time."""
+"""Number of objects that are fabricated, removed or moved at a time."""
 
 WITHIN_M = 40.0
-"""Objects farther from the liar are left alone."""
+"""Maximum distance of forged objects from the liar."""
 
 APART_M = 4.0
-"""Fabricated objects keep so far from all others."""
+"""Minimum distance of fabricated objects from all others."""
 
 MOVED_M = (2.0, 4.0)
-"""By how far objects are moved."""
+"""Minimum and maximum shift of moved objects."""
 
 STEALTHY_M = (0.6, 1.0)
-"""By how far stealthily (arXiv 2605.01301)."""
+"""Minimum and maximum shift of stealthily moved objects (arXiv 2605.01301)."""
 
 FABRICATED_SIZE_M = (4.4, 1.8, 1.5)
 
 CHANGED = 0.1
-"""Probabilities that differ by more are changed."""
+"""Cells whose probabilities differ by more count as changed."""
 
 FOLLOW_M = 8.0
-"""An object chosen to be forged is followed to the nearest detection within this distance at the next time."""
+"""A forged object is matched to the nearest detection within this distance at the next time."""
 
 
 @dataclass(slots=True)
 class Liars:
-    """The liars of a scene and what they have chosen; :meth:`forge` is called time after time."""
+    """The liars of a scene and their state; :meth:`forge` is called at each time."""
 
     lie: Lie  # one of ``LIES``
-    numbers: tuple[int, ...]  # of the agents that lie; they agree on what
-    victim: int  # agent that is to be expelled, for ``flip``, or -1
+    numbers: tuple[int, ...]  # of the lying agents; they tell the same lie
+    victim: int  # agent that ``flip`` tries to get expelled, or -1
     rng: np.random.Generator  # of their choices
-    # objects, or shares of the area that the first one saw, that they changed, of each time
+    # per time: number of changed objects, or changed share of the area that the first liar saw
     touched: list[float] = field(default_factory=list)
-    # (J, 2 or more) where the objects are, in the world, that they lie about; None before they chose
+    # (J, 2 or more) places in the world of the objects that they lie about; None before they are chosen
     places: F64 | None = None
     _shifts: F64 | None = None
     _honest: list[list[AgentReport]] = field(default_factory=list)
     _view: ViewLie | None = None
 
     def forge(self, reports: list[AgentReport]) -> list[AgentReport]:
-        """Return what all agents say, some of it lies."""
+        """Return the reports of all agents, with those of the liars forged."""
         self._honest.append(reports)
         return self.lie.forge(self, reports)
 
     def look(self, reports: list[AgentReport]) -> list[AgentReport]:
-        """Remember a time before the onset."""
+        """Record the honest reports of a time before the onset; return them unchanged."""
         self._honest.append(reports)
         return reports
 
@@ -69,16 +69,16 @@ Forge = Callable[[Liars, list[AgentReport]], list[AgentReport]]
 
 @dataclass(frozen=True, slots=True)
 class Lie:
-    """One way to lie."""
+    """One kind of lie."""
 
-    about: str  # objects, view, pose or others: under which heading it is reported
-    liars: int  # how many lie together
-    forge: Forge  # what they make of honest reports
-    flips: bool = False  # whether it is aimed at an honest agent
+    about: str  # objects, view, pose or others: heading under which it is reported
+    liars: int  # number of colluding liars
+    forge: Forge  # turns honest reports into forged ones
+    flips: bool = False  # whether it targets an honest agent
 
 
 def _fabricate(liars: Liars, reports: list[AgentReport]) -> list[AgentReport]:
-    """Report the same invented cars again and again, about the first liar."""
+    """Report the same fabricated cars at each time, around the first liar."""
     first = reports[liars.numbers[0]]
     if liars.places is None:
         liars.places = _free_places(liars.rng, first, reports)
@@ -97,7 +97,7 @@ def _fabricate(liars: Liars, reports: list[AgentReport]) -> list[AgentReport]:
 
 
 def _remove(liars: Liars, reports: list[AgentReport]) -> list[AgentReport]:
-    """Do not report some objects any more."""
+    """Stop reporting some objects."""
     out, touched = list(reports), 0
     chosen = _chosen(liars, reports)
     for number in liars.numbers:
@@ -111,7 +111,7 @@ def _remove(liars: Liars, reports: list[AgentReport]) -> list[AgentReport]:
 
 
 def _with_views(forge: Forge) -> Forge:
-    """Return a lie about objects whose views agree with it, as if the liars' sensors were spoofed as well."""
+    """Return a lie about objects with consistent views, as if the liars' sensors were spoofed as well."""
 
     def forge_both(liars: Liars, reports: list[AgentReport]) -> list[AgentReport]:
         out = forge(liars, reports)
@@ -126,14 +126,14 @@ def _with_views(forge: Forge) -> Forge:
 
 
 def _not_in(boxes: F64, others: F64) -> F64:
-    """Return those boxes (K, 7) that are not among others."""
+    """Return the boxes (K, 7) that are not among ``others``."""
     same: NDArray[np.bool_] = (boxes[:, None] == others[None]).all(axis=2).any(axis=1)
     return boxes[~same]
 
 
 def _translate(range_m: tuple[float, float]) -> Forge:
     def forge(liars: Liars, reports: list[AgentReport]) -> list[AgentReport]:
-        """Report some objects where they are not, all liars at the same false places."""
+        """Report some objects at false places, the same for all liars."""
         out, touched = list(reports), 0
         chosen = _chosen(liars, reports)
         if liars._shifts is None:
@@ -146,8 +146,8 @@ def _translate(range_m: tuple[float, float]) -> Forge:
             turn = report.world_from_level.rotation[:2, :2]
             boxes[moved[moved >= 0], :2] += liars._shifts[: len(moved)][moved >= 0] @ turn
             touched += int((moved >= 0).sum())
-            found = Detections(boxes, report.detections.kinds, report.detections.returns)
-            out[number] = replace(report, detections=found)
+            detections = Detections(boxes, report.detections.kinds, report.detections.returns)
+            out[number] = replace(report, detections=detections)
         liars.touched.append(float(touched))
         return out
 
@@ -156,7 +156,7 @@ def _translate(range_m: tuple[float, float]) -> Forge:
 
 def _lie_about_view(name: str) -> Forge:
     def forge(liars: Liars, reports: list[AgentReport]) -> list[AgentReport]:
-        """Claim another field of view; objects are reported as they are."""
+        """Claim another field of view; detections stay honest."""
         lie, amount = VIEW_LIES[name]
         if liars._view is None:
             liars._view = ViewLie(float(liars.rng.uniform(-np.pi, np.pi)), amount)
@@ -164,21 +164,21 @@ def _lie_about_view(name: str) -> Forge:
         for number in liars.numbers:
             views = [before[number].estimate for before in liars._honest]
             out[number] = replace(reports[number], estimate=lie(views, liars._view))
-        now, claimed = reports[liars.numbers[0]].estimate, out[liars.numbers[0]].estimate
-        area = max(int(now.visible().sum()), 1)
-        other = (now.state != claimed.state) | (np.abs(now.visible_prob - claimed.visible_prob) > CHANGED)
-        changed = other.sum() / area + (now.world_from_level is not claimed.world_from_level)
-        liars.touched.append(float(changed))
+        honest, claimed = reports[liars.numbers[0]].estimate, out[liars.numbers[0]].estimate
+        area = max(int(honest.visible().sum()), 1)
+        changed = (honest.state != claimed.state) | (np.abs(honest.visible_prob - claimed.visible_prob) > CHANGED)
+        share = changed.sum() / area + (honest.world_from_level is not claimed.world_from_level)
+        liars.touched.append(float(share))
         return out
 
     return forge
 
 
 def _flip(liars: Liars, reports: list[AgentReport]) -> list[AgentReport]:
-    """Contradict one honest agent only (after TrustFlip, arXiv 2605.22122).
+    """Contradict a single honest agent (after TrustFlip, arXiv 2605.22122).
 
-    The liars deny the objects that the victim sees and fewest others see, and report objects where it claims to see
-    none, so that the victim is the one whose reports differ.
+    The liars deny objects that the victim and the fewest others report, and report objects where the victim sees free
+    ground, so that the victim's reports are the ones that differ.
     """
     victim = reports[liars.victim]
     if liars.places is None:
@@ -188,8 +188,8 @@ def _flip(liars: Liars, reports: list[AgentReport]) -> list[AgentReport]:
     seen_by = np.zeros(len(own))
     for number, report in enumerate(reports):
         if number not in (*liars.numbers, liars.victim) and len(report.in_world):
-            away = np.linalg.norm(own[:, None, :2] - report.in_world.boxes[None, :, :2], axis=2)
-            seen_by += away.min(axis=1) < APART_M / 2
+            distance_m = np.linalg.norm(own[:, None, :2] - report.in_world.boxes[None, :, :2], axis=2)
+            seen_by += distance_m.min(axis=1) < APART_M / 2
     order = np.argsort(seen_by, kind="stable")[:FORGED]
     for number in liars.numbers:
         gone = _nearest(reports[number], own[order, :2])
@@ -218,7 +218,7 @@ LIES: dict[str, Lie] = {
 
 
 def _free_places(rng: np.random.Generator, about: AgentReport, reports: Sequence[AgentReport]) -> F64:
-    """Return x, y and yaw (FORGED, 3) of places in the world that the agent claims to see, away from all objects."""
+    """Return x, y and yaw (FORGED, 3) of places in the world that the agent sees, away from all objects."""
     taken = np.concatenate([report.in_world.boxes[:, :2] for report in reports])
     out: list[list[float]] = []
     for _ in range(500):
@@ -236,27 +236,27 @@ def _free_places(rng: np.random.Generator, about: AgentReport, reports: Sequence
 
 
 def _chosen(liars: Liars, reports: Sequence[AgentReport]) -> F64:
-    """Return where the objects are (J, 2), in the world, that the liars chose of those near the first one."""
+    """Return the places (J, 2) in the world of the objects near the first liar that the liars chose."""
     report = reports[liars.numbers[0]]
     xy = report.in_world.boxes[report.range_m(report.in_world.boxes) < WITHIN_M, :2]
     if liars.places is None:
         liars.places = liars.rng.permutation(xy)[:FORGED]
     elif len(xy) and len(liars.places):
-        # Each is followed from time to time, to the nearest detection; one that is gone stays where it was.
-        away = np.linalg.norm(liars.places[:, None] - xy[None], axis=2)
-        nearest = away.argmin(axis=1)
-        close = away.min(axis=1) < FOLLOW_M
+        # Track each place to its nearest detection; without one it stays.
+        distance_m = np.linalg.norm(liars.places[:, None] - xy[None], axis=2)
+        nearest = distance_m.argmin(axis=1)
+        close = distance_m.min(axis=1) < FOLLOW_M
         liars.places = np.where(close[:, None], xy[nearest], liars.places)
     return liars.places
 
 
 def _nearest(report: AgentReport, places: F64) -> NDArray[np.intp]:
-    """Return the number (J,) of the agent's detection at each place of the world, -1 for none within two meters."""
-    found = report.detections.moved(report.world_from_level).boxes[:, :2]
-    if not len(found) or not len(places):
+    """Return the index (J,) of the agent's detection at each place of the world, -1 for none within two meters."""
+    xy = report.detections.moved(report.world_from_level).boxes[:, :2]
+    if not len(xy) or not len(places):
         return np.full(len(places), -1, np.intp)
-    away = np.linalg.norm(places[:, None] - found[None], axis=2)
-    return np.where(away.min(axis=1) < APART_M / 2, away.argmin(axis=1), -1)
+    distance_m = np.linalg.norm(places[:, None] - xy[None], axis=2)
+    return np.where(distance_m.min(axis=1) < APART_M / 2, distance_m.argmin(axis=1), -1)
 
 
 def _with_more(report: AgentReport, more: Detections) -> AgentReport:

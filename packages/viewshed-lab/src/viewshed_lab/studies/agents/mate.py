@@ -1,12 +1,12 @@
 """The published trust of agents and tracks (MATE, public code, MIT), formula by formula: the baseline to beat.
 
-Trust is a Beta distribution for each agent and each track of the center. A **pseudo-measurement** is a value v in
-[0, 1] with a confidence c in [0, 1], and moves it by
+Trust is a Beta distribution for each agent and each track of the center. A **pseudo-measurement**, a value v in [0, 1]
+with a confidence c in [0, 1], updates it by
 
     n = bias if v < threshold else 1,   α += n / (n + 1) · c · v,   β += n² / (n + 1) · c · (1 - v).
 
-Before each round both forget: α ← (1 - w) α + w α₀ with w = min(1, dt / return_s), and β alike. Agent i and track j of
-the center, whose trust is τ_i and τ_j with mean E and standard deviation σ, measure each other:
+Before each round, both decay: α ← (1 - w) α + w α₀ with w = min(1, dt / return_s), and β alike. Agent i and track j of
+the center, with trust τ_i and τ_j of mean E and standard deviation σ, measure each other:
 
 | track j of the center | agent i gets | track j gets |
 |---|---|---|
@@ -15,11 +15,11 @@ the center, whose trust is τ_i and τ_j with mean E and standard deviation σ, 
 | not matched, inside i's view, near enough | v = 1 - E[τ_j], c = clip(w (1 - 2σ_j)) | v = 0, c = w E[τ_i] |
 | not matched, outside i's view or too far | nothing | nothing |
 
-What i sees and the center lacks is left empty. Confidences of agents are clipped to [1e-4, 0.9999]. The weight w of
-what is not matched is the product of three: of the frames that j was in view, of its distance, and of its age.
+Tracks of i that the center lacks have no effect. Confidences of agents are clipped to [1e-4, 0.9999]. The weight w of
+an unmatched track is the product of three weights: by its frames in view, its distance and its number of updates.
 
-What the publication leaves open, and how it is read here: frames in view are counted in a row; a round takes all
-trusts as they were at its beginning.
+Choices that the publication leaves open: frames in view are consecutive; a round uses all trusts as they were at its
+beginning.
 """
 
 from __future__ import annotations
@@ -34,38 +34,38 @@ from viewshed.arrays import F64, Mask
 from viewshed.objects.association import assign
 
 PRIOR_MEANS = {"distrusted": 0.2, "untrusted": 0.5, "trusted": 0.8}
-"""Means of the priors of who is new; their strength, α + β, is 1."""
+"""Means of the priors of new agents and tracks; their strength, α + β, is 1."""
 
 UNKNOWN = np.array([0.5, 0.5])
-"""α and β that trust returns to without measurements."""
+"""α and β to which trust decays without measurements."""
 
 AGENT_BIAS, AGENT_THRESHOLD = 4.0, 0.4
-"""Values below the threshold move an agent by the bias; also published 6 and 0.3, 8 and 0.2, and in the air 3."""
+"""Bias of values below the threshold; also published: 6 and 0.3, 8 and 0.2, and for aerial agents 3."""
 
 TRACK_BIAS, TRACK_THRESHOLD = 1.0, 0.4
 
 RETURN_S = 10.0
-"""After this time without measurements trust is ``UNKNOWN`` again; also published 1 s."""
+"""After this time without measurements trust is ``UNKNOWN`` again; also published: 1 s."""
 
 GATE_M, SELF_M, REACH_M = 3.0, 1.0, 70.0
-"""An agent's own track farther from the center's is none of it (also published 2 and 1); a track nearer to an agent is
-the agent; what is not matched counts up to this distance."""
+"""Maximum distance of matched tracks of an agent and the center (also published: 2 and 1); maximum distance of an agent
+from the track that is itself; maximum distance of unmatched tracks that count."""
 
 NEAR_M, NEAR_FRAMES, NEAR_WEIGHT = 30.0, 2, 0.25
-"""Nearer than this the weight is 1 after more frames in view than these, and before that it is the third."""
+"""Nearer than ``NEAR_M`` the weight is 1 after more than ``NEAR_FRAMES`` frames in view, and ``NEAR_WEIGHT`` before."""
 
 FAR_FRAMES, DISTANT_M, DISTANT_WEIGHT = 3, 60.0, 0.5
-"""Farther away it grows from 0 to 1 between this number of frames in view and twice this number; farther than the
-second it is multiplied by the third."""
+"""Farther away the weight grows from 0 to 1 between ``FAR_FRAMES`` frames in view and twice that number; beyond
+``DISTANT_M`` it is multiplied by ``DISTANT_WEIGHT``."""
 
-LEAST_UPDATES, LEAST_MEASUREMENTS = 2, 2
-"""A track of the center with fewer updates is not missed; with fewer pseudo-measurements in a round it keeps its
-trust."""
+MIN_UPDATES, MIN_MEASUREMENTS = 2, 2
+"""A track of the center with fewer updates does not count as missed; one with fewer pseudo-measurements in a round
+keeps its trust."""
 
-LEAST_TRUST = 0.4
-"""Tracks below are left out of the fused picture; in the air 0.5."""
+MIN_TRUST = 0.4
+"""Tracks with less trust are left out of the fused picture; for aerial agents 0.5."""
 
-_LEAST_CONFIDENCE, _MOST_CONFIDENCE = 1e-4, 0.9999
+_MIN_CONFIDENCE, _MAX_CONFIDENCE = 1e-4, 0.9999
 
 
 def mean_of(beta: F64) -> F64:
@@ -80,7 +80,7 @@ def std_of(beta: F64) -> F64:
 
 
 def gains(value: F64, confidence: F64, bias: float, threshold: float) -> F64:
-    """Return by how much pseudo-measurements (…) move α and β (…, 2).
+    """Return the increments of α and β (…, 2) from pseudo-measurements (…).
 
     >>> gains(np.array([1.0, 0.0]), np.ones(2), bias=4.0, threshold=0.4).tolist()
     [[0.5, 0.0], [0.0, 3.2]]
@@ -104,7 +104,7 @@ def prior(name: str) -> F64:
 
 
 def forget(beta: F64, dt_s: float, return_s: float = RETURN_S) -> F64:
-    """Return Beta distributions (…, 2) after some time without measurements.
+    """Return Beta distributions (…, 2) after ``dt_s`` seconds of decay.
 
     >>> forget(np.array([8.5, 0.5]), dt_s=2.5).tolist()
     [6.5, 0.5]
@@ -117,34 +117,34 @@ def miss_weight(distance_m: F64, frames: F64, updates: F64) -> F64:
     """Return the weight w (…) of tracks that an agent should have seen.
 
     Args:
-        distance_m: (…) from the agent.
-        frames: (…) in a row in which its view covered the track.
-        updates: (…) of the track at the center.
+        distance_m: (…) distance from the agent.
+        frames: (…) number of consecutive frames in which its view covered the track.
+        updates: (…) number of updates of the track at the center.
     """
     near = np.where(frames > NEAR_FRAMES, 1.0, NEAR_WEIGHT)
     far = np.clip((frames - FAR_FRAMES) / FAR_FRAMES, 0.0, 1.0)
     of_view = np.where(distance_m < NEAR_M, near, far)
     of_distance = np.where(distance_m > DISTANT_M, DISTANT_WEIGHT, 1.0)
-    return np.asarray(of_view * of_distance * (updates >= LEAST_UPDATES))
+    return np.asarray(of_view * of_distance * (updates >= MIN_UPDATES))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MateReport:
-    """What one agent brings to a round."""
+    """Input of one agent to a round."""
 
-    agent: str  # its name
-    xy_m: F64  # (2,) where it is
-    seen_xy_m: F64  # (K, 2) its own tracks
-    covers: Mask  # (J,) bool, which tracks of the center its view covers
+    agent: str  # name
+    xy_m: F64  # (2,) position
+    seen_xy_m: F64  # (K, 2) positions of its own tracks
+    covers: Mask  # (J,) bool, tracks of the center that its view covers
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PseudoMeasurements:
-    """What one agent and the J tracks of the center say of each other; NaN where they say nothing.
+    """Pseudo-measurements between one agent and the J tracks of the center; NaN where there is none.
 
     Attributes:
-        agent_value, agent_confidence: (J,) what the agent gets from each track.
-        track_value, track_confidence: (J,) what each track gets from the agent.
+        agent_value, agent_confidence: (J,) of the agent, from each track.
+        track_value, track_confidence: (J,) of each track, from the agent.
     """
 
     agent_value: F64
@@ -162,32 +162,32 @@ def pseudo_measurements(
     frames: NDArray[np.int32],
     gate_m: float = GATE_M,
 ) -> PseudoMeasurements:
-    """Return what an agent and the tracks of the center say of each other in one round.
+    """Return the pseudo-measurements between an agent and the tracks of the center in one round.
 
     Args:
-        report: of the agent.
+        report: input of the agent.
         agent_trust: its α and β (2,).
-        xy_m: (J, 2) tracks of the center.
-        updates: (J,) of each.
-        track_trust: (J, 2) α and β of each.
-        frames: (J,) in a row, this one counted, in which the agent's view covered it.
-        gate_m: an agent's own track farther from the center's is none of it.
+        xy_m: (J, 2) positions of the center's tracks.
+        updates: (J,) number of updates of each track.
+        track_trust: (J, 2) α and β of each track.
+        frames: (J,) number of consecutive frames, with this one, in which the agent's view covered each track.
+        gate_m: maximum distance of matched tracks.
     """
-    between = np.linalg.norm(xy_m[:, None] - report.seen_xy_m[None], axis=-1)
-    is_matched = assign(gate_m - between) >= 0
+    track_distance_m = np.linalg.norm(xy_m[:, None] - report.seen_xy_m[None], axis=-1)
+    is_matched = assign(gate_m - track_distance_m) >= 0
     distance_m = np.linalg.norm(xy_m - report.xy_m, axis=-1)
     is_self = distance_m < SELF_M
     is_missed = ~is_matched & ~is_self & report.covers & (distance_m <= REACH_M)
     is_matched &= ~is_self
 
     weight = miss_weight(distance_m, frames.astype(np.float64), updates.astype(np.float64))
-    mean, sureness = mean_of(track_trust), 1.0 - 2.0 * std_of(track_trust)
+    mean, certainty = mean_of(track_trust), 1.0 - 2.0 * std_of(track_trust)
     own = mean_of(agent_trust)
     values = np.full((4, len(xy_m)), np.nan)
     values[2:, is_self] = 1.0
-    values[:, is_matched] = np.stack([mean, sureness, np.ones_like(mean), np.full_like(mean, own)])[:, is_matched]
-    values[:, is_missed] = np.stack([1.0 - mean, weight * sureness, np.zeros_like(mean), weight * own])[:, is_missed]
-    values[1] = np.clip(values[1], _LEAST_CONFIDENCE, _MOST_CONFIDENCE)
+    values[:, is_matched] = np.stack([mean, certainty, np.ones_like(mean), np.full_like(mean, own)])[:, is_matched]
+    values[:, is_missed] = np.stack([1.0 - mean, weight * certainty, np.zeros_like(mean), weight * own])[:, is_missed]
+    values[1] = np.clip(values[1], _MIN_CONFIDENCE, _MAX_CONFIDENCE)
     return PseudoMeasurements(*values)
 
 
@@ -203,23 +203,23 @@ class MateTrust:
     0.5
     """
 
-    agent_prior: str = "untrusted"  # of ``PRIOR_MEANS``, of who is new
-    track_prior: str = "untrusted"
-    agent_bias: float = AGENT_BIAS  # by which values below the threshold move an agent
+    agent_prior: str = "untrusted"  # prior of new agents, of ``PRIOR_MEANS``
+    track_prior: str = "untrusted"  # prior of new tracks
+    agent_bias: float = AGENT_BIAS  # bias of values below the threshold
     agent_threshold: float = AGENT_THRESHOLD
-    return_s: float = RETURN_S  # after which trust without measurements is ``UNKNOWN``
-    gate_m: float = GATE_M  # beyond which an agent's own track is none of the center's
+    return_s: float = RETURN_S  # time without measurements after which trust is ``UNKNOWN``
+    gate_m: float = GATE_M  # maximum distance of matched tracks
     agents: dict[str, F64] = field(default_factory=dict)
     tracks: dict[int, F64] = field(default_factory=dict)
     _frames: dict[tuple[str, int], int] = field(default_factory=dict)
     _t_s: float | None = None
 
     def of_agent(self, agent: str) -> float:
-        """Return the mean trust of an agent; that of the prior of one that nobody has heard."""
+        """Return the mean trust of an agent; the prior mean of an unknown one."""
         return float(mean_of(self.agents.get(agent, prior(self.agent_prior))))
 
     def of_tracks(self, ids: NDArray[np.int64]) -> F64:
-        """Return the mean trust (J,) of tracks; that of the prior of one that nobody has heard."""
+        """Return the mean trust (J,) of tracks; the prior mean of unknown ones."""
         return mean_of(self._betas(ids))
 
     def _betas(self, ids: NDArray[np.int64]) -> F64:
@@ -229,23 +229,23 @@ class MateTrust:
     def update(
         self, t_s: float, reports: Sequence[MateReport], ids: NDArray[np.int64], xy_m: F64, updates: NDArray[np.int32]
     ) -> None:
-        """Let agents and tracks of the center measure each other once.
+        """Update the trust of agents and tracks by one round of pseudo-measurements.
 
         Args:
             t_s: time of the round.
-            reports: of the agents that are heard.
-            ids: (J,) of the tracks of the center; trust of others is given up.
-            xy_m: (J, 2) where they are.
-            updates: (J,) how often each was updated.
+            reports: input of the agents that report.
+            ids: (J,) ids of the center's tracks; the trust of other tracks is dropped.
+            xy_m: (J, 2) positions of the tracks.
+            updates: (J,) number of updates of each track.
 
         Raises:
-            ValueError: time goes back, or a view does not say of each track whether it covers it.
+            ValueError: time goes back, or ``covers`` of a report does not have one value per track.
         """
         if self._t_s is not None and t_s < self._t_s:
             raise ValueError(f"time of a round must not go back, got {t_s} after {self._t_s}")
         if any(report.covers.shape != (len(ids),) for report in reports):
             raise ValueError(f"each view must say of {len(ids)} tracks whether it covers them")
-        # 1. Forget; who is new begins with the prior.
+        # 1. Decay; new agents and tracks start with the prior.
         dt_s = 0.0 if self._t_s is None else t_s - self._t_s
         self._t_s = t_s
         self.agents = {name: forget(beta, dt_s, self.return_s) for name, beta in self.agents.items()}
@@ -255,27 +255,27 @@ class MateTrust:
         betas = self._betas(ids)
         betas[is_known] = forget(betas[is_known], dt_s, self.return_s)
 
-        # 2. What each agent and each track say of each other, all by the trust at the beginning of the round.
-        found = []
+        # 2. Pseudo-measurements, all with the trust at the beginning of the round.
+        measured = []
         for report in reports:
             frames = self._count_frames(report, ids)
             own = self.agents[report.agent]
-            found.append(pseudo_measurements(report, own, xy_m, updates, betas, frames, self.gate_m))
+            measured.append(pseudo_measurements(report, own, xy_m, updates, betas, frames, self.gate_m))
 
-        # 3. Move agents, and those tracks about which enough was reported.
-        for report, one in zip(reports, found, strict=True):
+        # 3. Update agents, and the tracks with enough pseudo-measurements.
+        for report, one in zip(reports, measured, strict=True):
             gain = gains(one.agent_value, one.agent_confidence, self.agent_bias, self.agent_threshold)
             self.agents[report.agent] = self.agents[report.agent] + np.nansum(gain, axis=0)
-        if found:
-            values = np.stack([one.track_value for one in found])
-            confidences = np.stack([one.track_confidence for one in found])
+        if measured:
+            values = np.stack([one.track_value for one in measured])
+            confidences = np.stack([one.track_confidence for one in measured])
             gain = np.nansum(gains(values, confidences, TRACK_BIAS, TRACK_THRESHOLD), axis=0)
-            is_enough = (~np.isnan(values)).sum(axis=0) >= LEAST_MEASUREMENTS
+            is_enough = (~np.isnan(values)).sum(axis=0) >= MIN_MEASUREMENTS
             betas = betas + gain * is_enough[:, None]
         self.tracks = {int(track): beta for track, beta in zip(ids, betas, strict=True)}
 
     def _count_frames(self, report: MateReport, ids: NDArray[np.int64]) -> NDArray[np.int32]:
-        """Count the frames in a row (J,) in which a view covered each track, this one too."""
+        """Return the number (J,) of consecutive frames, with this one, in which a view covered each track."""
         frames = np.zeros(len(ids), np.int32)
         counted = {}
         for k, (track, covers) in enumerate(zip(ids, report.covers, strict=True)):

@@ -1,4 +1,4 @@
-"""The page of the study: who is found, who is accused wrongly, and what the common picture gains."""
+"""The page of the study of many agents: detection of liars, false accusations, and the gain of the common picture."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from viewshed_lab.studies.records import Results
 from viewshed_lab.studies.store import ResultStore
 
 TRUST_BINS = (0.0, 0.1, 0.3, 0.5, 0.7, 0.9, 1.0)
-"""Of the reliability of trust."""
+"""Bin edges of the reliability table."""
 
 GROUPS = {
     "fabricated": ("fabricate", "fabricate_spoofed", "fabricate_together"),
@@ -41,68 +41,67 @@ GROUPS = {
     "stale": ("stale",),
     "over-claim": ("over_claim",),
 }
-"""Lies under each heading of the targets."""
+"""Lies by heading of the targets."""
 
 WITNESSED, WITNESS_BINS = ("removed", "moved"), (0.0, 0.5, 1.5, np.inf)
-"""Lies about objects that are there, and how many honest agents report such an object, on average over time."""
+"""Headings of lies about real objects; bin edges of the mean number of honest agents that report such an object."""
 
 SHOWN = "fabricate"
 """The lie of the picture."""
 
 TARGETS = {"fabricated": 0.97, "moved": 0.96, "pose": 0.94, "removed": 0.90, "stale": 0.88, "over-claim": 0.85}
-"""AUROC."""
-
+"""Target AUROC by heading."""
 
 ROUND_MS = 8
-"""Milliseconds that a round of five agents should take."""
+"""Target time of a round of five agents in milliseconds."""
 
 
 @dataclass(frozen=True, eq=False)
 class AgentsResults:
-    """Runs of a study, and what follows from them."""
+    """Runs of a study, with their tables and pictures."""
 
     plan: AgentsPlan  # of the study
     results: Results[AgentsPlan]  # of its runs
-    round_ms: list[float] = field(default_factory=list)  # processor time of each round of the pictures
+    round_ms: list[float] = field(default_factory=list)  # CPU time of each round of the pictures
 
     def runs(self, split: str) -> list[Run]:
-        """Return the runs of a split, by the numbers of their scenes."""
+        """Return the runs of a split, in the order of their scenes."""
         keys = sorted((int(key[2]), key) for key in self.results.facts if key[:2] == ("run", split))
         return [Run(**run) for _, key in keys for run in self.results.facts[key]["runs"]]
 
     @property
     def elevated(self) -> Mask:
-        """(A,) which agents stand on masts."""
+        """Mask (A,) of the agents on masts."""
         return np.arange(self.plan.moving + self.plan.roadside) >= self.plan.moving
 
     @cached_property
     def limits(self) -> TrustLimits:
-        """Who is accused: limits of the most that speaks against anybody in each calibration scene."""
+        """Limits of accusation, from the maximum evidence against each agent in each calibration scene."""
         benign = self.runs("calibration")
         answers = np.array([np.max(run.answers, axis=0) for run in benign])
         return TrustLimits.of(answers, self.elevated, np.array([max(run.doubt) for run in benign]))
 
     @property
     def rate(self) -> float:
-        """Share of benign scenes in which somebody may be accused, as far as the calibration scenes support it."""
+        """Target rate of benign scenes with an accused agent; at least the rate that the calibration can support."""
         return max(FALSE_RATE, self.limits.least_rate)
 
     def accused(self, run: Run, until: int | None = None) -> Mask:
-        """Return who is accused (A,) in a run at ``rate``, up to one of its times."""
+        """Return the mask (A,) of agents accused in a run at ``rate``, optionally up to a time index."""
         return self.limits.accused(np.max(run.answers[:until], axis=0), self.elevated, self.rate)
 
     @cached_property
     def test(self) -> list[Run]:
-        """Runs that are reported on."""
+        """Runs of the test scenes."""
         return self.runs("test")
 
     def of(self, *cases: str, counting: bool = True) -> list[Run]:
-        """Return the runs of cases; those in which the liars changed something for a second, unless all are wanted."""
+        """Return the test runs of cases; with ``counting`` only lies that changed something for at least a second."""
         runs = [run for run in self.test if run.case in cases]
         return [run for run in runs if run.case not in LIES or not counting or _counts(run, self.plan)]
 
     def benign_table(self) -> Table:
-        """Return what happens where nobody lies."""
+        """Return the table of the cases without lies."""
         rows = []
         for case in (HONEST, STATED, UNSTATED):
             runs = self.of(case)
@@ -120,7 +119,7 @@ class AgentsResults:
         return Table(header, rows)
 
     def found_table(self) -> Table:
-        """Return for each lie what is found of it, ours beside the published trust."""
+        """Return the table of detection rates by lie, ours and those of the published trust."""
         rows = []
         for name in self.plan.lies:
             runs = self.of(name)
@@ -151,48 +150,49 @@ class AgentsResults:
         )  # fmt: skip
         return Table(header, rows)
 
-    def area(self, runs: Sequence[Run], asked: Sequence[str] = QUESTIONS) -> float:
-        """Return the AUROC of the scores: liars against honest agents of scenes in which nobody lies."""
-        honest = np.concatenate([self._rank(run, asked) for run in self.of(HONEST)])
-        liars = np.concatenate([self._rank(run, asked)[run.liars] for run in runs])
+    def area(self, runs: Sequence[Run], questions: Sequence[str] = QUESTIONS) -> float:
+        """Return the AUROC of the scores: liars against the agents of honest scenes."""
+        honest = np.concatenate([self._scores(run, questions) for run in self.of(HONEST)])
+        liars = np.concatenate([self._scores(run, questions)[run.liars] for run in runs])
         return auroc(honest, liars)
 
-    def _rank(self, run: Run, asked: Sequence[str]) -> F64:
-        """Return how much speaks against each agent (A,) by some questions, on the scale of those of its kind."""
-        answers = np.where(np.isin(QUESTIONS, asked), np.max(run.answers, axis=0), -np.inf)
+    def _scores(self, run: Run, questions: Sequence[str]) -> F64:
+        """Return the score (A,) of each agent by some questions, on the scale of agents of its kind."""
+        answers = np.where(np.isin(QUESTIONS, questions), np.max(run.answers, axis=0), -np.inf)
         return self.limits.scores(answers, self.elevated)
 
     def questions_table(self) -> Table:
-        """Return the AUROC of each group of lies with all questions, with each one left out, and with one alone."""
+        """Return the table of AUROC by group of lies with all questions, with each one left out, and with one alone."""
         groups = {name: runs for name, lies in GROUPS.items() if (runs := self.of(*lies))}
-        asked: dict[str, tuple[str, ...]] = {"all": QUESTIONS}
-        asked |= {f"without {name}": tuple(each for each in QUESTIONS if each != name) for name in QUESTIONS}
-        asked |= {f"{name} alone": (name,) for name in QUESTIONS}
+        subsets: dict[str, tuple[str, ...]] = {"all": QUESTIONS}
+        subsets |= {f"without {name}": tuple(other for other in QUESTIONS if other != name) for name in QUESTIONS}
+        subsets |= {f"{name} alone": (name,) for name in QUESTIONS}
         rows = [
-            [what, *(format_rate(self.area(runs, some)) for runs in groups.values())] for what, some in asked.items()
+            [label, *(format_rate(self.area(runs, subset)) for runs in groups.values())]
+            for label, subset in subsets.items()
         ]
         return Table(("questions", *groups), rows)
 
     def witnesses_table(self) -> Table:
-        """Return what is found of objects that were removed and moved, by how many honest agents report them."""
+        """Return the table of AUROC of removed and moved objects, by the number of honest agents that report them."""
         rows = []
         for name in WITNESSED:
             runs = self.of(*GROUPS[name])
             if not runs:
                 continue
-            most = np.array([max(run.witnesses, default=0.0) for run in runs])
-            every = np.concatenate([run.witnesses for run in runs])
+            max_witnesses = np.array([max(run.witnesses, default=0.0) for run in runs])
+            witnesses = np.concatenate([run.witnesses for run in runs])
             for low, high in pairwise(WITNESS_BINS):
-                some = [run for run, count in zip(runs, most, strict=True) if low <= count < high]
-                share = float(((every >= low) & (every < high)).mean())
+                in_bin = [run for run, count in zip(runs, max_witnesses, strict=True) if low <= count < high]
+                share = float(((witnesses >= low) & (witnesses < high)).mean())
                 words = f"{low:g} or more" if np.isinf(high) else f"{low:g} to {high:g}"
-                area = self.area(some) if some else float("nan")
-                rows.append([name, words, format_rate(share), str(len(some)), format_rate(area)])
+                area = self.area(in_bin) if in_bin else float("nan")
+                rows.append([name, words, format_rate(share), str(len(in_bin)), format_rate(area)])
         header = ("lie", "honest agents that report the object", "share of the objects", "runs by their best", "AUROC")
         return Table(header, rows)
 
     def picture(self, folder: Path, case: str) -> Picture:
-        """Return the first test scene in a case: before the onset, when somebody is accused first, and its end."""
+        """Return the picture of the first test scene: before the onset, at the first accusation, at the end."""
         honest = HonestModel.from_json((folder / HONEST_MODEL).read_text("utf-8"))
         scene = Scene.load(scene_path(folder, "test", 0))
         liars, said = SceneCases(scene, (self.plan.seed, "test", 0), honest, compared=False).said(case)
@@ -213,7 +213,7 @@ class AgentsResults:
         return Picture(f"agents_{case}.png", fused_strip(shown), alt)
 
     def delay_s(self, run: Run) -> float:
-        """Return the seconds from the onset until a liar is accused; infinite where none ever is."""
+        """Return the seconds from the onset until a liar is accused; infinite if none ever is."""
         for time in range(len(run.answers)):
             t_s = (time + 0.5) / self.plan.hz
             if t_s >= ONSET_S and self.accused(run, time + 1)[run.liars].any():
@@ -221,7 +221,7 @@ class AgentsResults:
         return float("inf")
 
     def reliability_table(self) -> Table:
-        """Return how many agents are honest, by the trust in them at the end of runs, whatever they did."""
+        """Return the table of the share of honest agents, by the trust in them at the end of all test runs."""
         trust, honest = list[float](), list[bool]()
         for run in self.test:
             trust += run.trust[-1]
@@ -234,7 +234,7 @@ class AgentsResults:
         return Table(("trust at the end", "agents", "honest"), rows)
 
     def target_table(self) -> Table:
-        """Return what was aimed at beside what was reached; what was not run is left out."""
+        """Return the table of targets and reached figures; cases without runs are left out."""
         lied = self.of(*LIES)
         alone = [run for run in lied if LIES[run.case].about == "objects" and "stealthy" not in run.case]
         benign, stated, unstated = (
@@ -261,15 +261,15 @@ class AgentsResults:
             met = figure <= bound if below else figure >= bound
             word = "met" if met else "missed"
             lines.append([what, f"{'≤' if below else '≥'} {bound:g}", format_rate(figure, 3), word])
-        scenes, wanted = self.plan.test, AgentsPlan.load("full").test
-        lines.append(["scenes reported on", f"≥ {wanted}", str(scenes), "met" if scenes >= wanted else "missed"])
+        scenes, target = self.plan.test, AgentsPlan.load("full").test
+        lines.append(["scenes reported on", f"≥ {target}", str(scenes), "met" if scenes >= target else "missed"])
         if over := self.of("over_claim"):
             trust = np.concatenate([np.array(run.trust)[-1][run.liars] for run in over])
             lines.append(["over-claimers trusted less than .5", "–", format_rate(float((trust < 0.5).mean())), ""])
         return Table(("what", "target", "reached", ""), lines)
 
     def times_table(self) -> Table:
-        """Return the time of a round beside what was aimed at, of the rounds of the pictures."""
+        """Return the table of the time of a round and its target, from the rounds of the pictures."""
         median_ms, agents = float(np.median(self.round_ms)), self.plan.moving + self.plan.roadside
         word = "met" if median_ms <= ROUND_MS else "missed"
         row = [f"a round of {agents} agents", f"≤ {ROUND_MS:g}", f"{median_ms:.0f}, {word}", str(len(self.round_ms))]
@@ -277,16 +277,16 @@ class AgentsResults:
 
 
 def _counts(run: Run, plan: AgentsPlan) -> bool:
-    """Return whether the liars changed an object or 5 % of the area for a second at least."""
-    least = 0.05 if LIES[run.case].about == "view" else 1.0
-    return sum(value >= least for value in run.touched) / plan.hz >= 1.0
+    """Return whether the liars changed an object, or 5 % of the area, for at least a second."""
+    minimum = 0.05 if LIES[run.case].about == "view" else 1.0
+    return sum(value >= minimum for value in run.touched) / plan.hz >= 1.0
 
 
-def _published_area(runs: Sequence[Run], found: AgentsResults) -> float:
+def _published_area(runs: Sequence[Run], results: AgentsResults) -> float:
     """Return the AUROC of the lowest published trust after the onset."""
-    after = round(ONSET_S * found.plan.hz)
-    honest = np.concatenate([-np.min(run.published_trust[after:], axis=0) for run in found.of(HONEST)])
-    liars = np.concatenate([-np.min(run.published_trust[after:], axis=0)[run.liars] for run in runs])
+    onset = round(ONSET_S * results.plan.hz)
+    honest = np.concatenate([-np.min(run.published_trust[onset:], axis=0) for run in results.of(HONEST)])
+    liars = np.concatenate([-np.min(run.published_trust[onset:], axis=0)[run.liars] for run in runs])
     return auroc(honest, liars)
 
 
@@ -296,7 +296,7 @@ def _gospa(run: Run, center: str) -> float:
 
 
 def files_of(store: ResultStore[AgentsPlan]) -> dict[str, bytes]:
-    """Return the page as a file by its name.
+    """Return the page and its pictures by file name.
 
     Raises:
         ValueError: there are no runs.

@@ -1,4 +1,4 @@
-"""What the study of many agents runs: scenes of three splits, and how agents of a scene lie."""
+"""Plan of the study of many agents: scenes of three splits, and the lies of each scene."""
 
 from __future__ import annotations
 
@@ -13,29 +13,29 @@ from viewshed_lab.studies.agents.lies import LIES
 from viewshed_lab.studies.plan import JobKey, Plan, check_names, check_seed
 
 SPLITS = ("learning", "calibration", "test")
-"""No scene is in two of them: what honest agents do is learned from the first, limits are from the second, figures from
-the third, whose kinds of world and sensors are in none of the others."""
+"""Disjoint sets of scenes: the first fits the model of honest agents, the second sets the limits, the third is reported
+on and has other kinds of world and other sensors."""
 
 ONSET_S = 2.0
-"""Agents lie from this time of a scene on."""
+"""Time in a scene at which the lies start."""
 
 HONEST_MODEL = "honest.json"
-"""What honest agents do: fitted on the scenes of the first split."""
+"""File of the model of honest agents, fitted on the scenes of the first split."""
 
 STEPS = ("scenes", "runs", "page")
 
 HONEST, STATED, UNSTATED = "honest", "pose noise stated", "pose noise not stated"
-"""Cases in which nobody lies: poses are exact, or off by .2 m and .5°, and agents say so or do not."""
+"""Cases without lies: exact poses, or poses off by .2 m and .5°, with this error stated or not."""
 
 POSE_NOISE = (STATED, UNSTATED)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AgentsPlan(Plan):
-    """The study of many agents.
+    """Plan of the study of many agents.
 
     Raises:
-        ValueError: a name is not known, or a number is out of range.
+        ValueError: a name is unknown, or a number is out of range.
     """
 
     FOLDER: ClassVar[str] = "studies/agents/plans"
@@ -43,22 +43,22 @@ class AgentsPlan(Plan):
 
     name: str
     about: str
-    worlds: tuple[str, ...]  # kinds of world for learning and calibration, which the scenes take in turn
-    sensors: tuple[str, ...]  # beam tables of their vehicles, which the scenes take in turn
+    worlds: tuple[str, ...]  # kinds of world for learning and calibration; the scenes cycle through them
+    sensors: tuple[str, ...]  # beam tables of their vehicles; the scenes cycle through them
     test_worlds: tuple[str, ...]  # kinds of world of the test scenes
     test_sensors: tuple[str, ...]  # beam tables of their vehicles
-    heights_m: tuple[float, ...]  # of the vehicles' sensors, which the scenes take in turn
-    moving: int  # vehicles that measure and report
-    roadside: int  # sensors on masts that do
-    tall_masts: int  # every k-th scene has masts as tall as published, 20 m, and not of 4 to 8 m; 0 for none
-    seconds: float  # how long a scene lasts
-    hz: float  # reports a second of each agent
-    learning: int  # scenes from which it is learned what honest agents do
-    calibration: int  # scenes that limits are from
-    test: int  # scenes that are reported on
+    heights_m: tuple[float, ...]  # of the vehicles' sensors; the scenes cycle through them
+    moving: int  # number of vehicles that measure and report
+    roadside: int  # number of sensors on masts that measure and report
+    tall_masts: int  # every k-th scene has masts of the published 20 m instead of 4 to 8 m; 0 for none
+    seconds: float  # duration of a scene
+    hz: float  # reports per second of each agent
+    learning: int  # number of scenes to fit the model of honest agents
+    calibration: int  # number of scenes to set the limits
+    test: int  # number of scenes that are reported on
     lies: tuple[str, ...]  # names of ``LIES``
-    each: int  # lies that each test scene is tried with, in turn; all scenes are run without any as well
-    seed: int  # of all that is random
+    each: int  # number of lies per test scene, in turn; every scene also runs without lies
+    seed: int  # of all random draws
 
     def __post_init__(self) -> None:
         check_names("worlds", self.worlds, WORLDS)
@@ -71,30 +71,30 @@ class AgentsPlan(Plan):
             raise ValueError(f"seconds must be above {ONSET_S:g} and hz in (0, 10], got {self.seconds:g}, {self.hz:g}")
 
     def job_keys(self) -> list[JobKey]:
-        """Return the names of all jobs: scenes, then runs."""
+        """Return the keys of all jobs: scenes, then runs."""
         return self.scene_keys() + self.run_keys()
 
     def scene_keys(self) -> list[JobKey]:
-        """Return the names of the scenes' jobs: split and number."""
+        """Return the keys of the jobs that simulate scenes: split and number."""
         return [("scene", split, str(number)) for split in SPLITS for number in range(getattr(self, split))]
 
     def run_keys(self) -> list[JobKey]:
-        """Return the names of the runs' jobs: split and number of a scene, in all of its cases."""
+        """Return the keys of the jobs that run all cases of a scene: split and number."""
         return [("run", *key[1:]) for key in self.scene_keys() if key[1] != SPLITS[0]]
 
     def cases_of(self, split: str, number: int) -> list[str]:
-        """Return what is tried in a scene: honest agents, poses of every other calibration scene off; lies in turn."""
+        """Return the cases of a scene: calibration honest or stated noise; test honest, both noises, ``each`` lies."""
         if split != "test":
             return [(HONEST, STATED)[number // len(self.worlds) % 2]]
         count = min(self.each, len(self.lies))
         return [HONEST, *POSE_NOISE, *(self.lies[(number * count + k) % len(self.lies)] for k in range(count))]
 
     def has_tall_masts(self, number: int) -> bool:
-        """Return whether the masts of a scene are as tall as published: in each kind of world and with each sensor."""
+        """Return whether the masts of a scene are as tall as published; this occurs with each world and sensor."""
         return self.tall_masts > 0 and (number // len(self.worlds) + number) % self.tall_masts == 0
 
     def scene(self, split: str, number: int) -> ScenePlan:
-        """Return the scene of a split: its world, its sensors and its agents."""
+        """Return the plan of one scene of a split: its world, its sensors and its agents."""
         base: Preset = preset_named("carla")
         frames = round(self.seconds * self.hz) * (self.moving + self.roadside)
         is_test = split == "test"

@@ -1,4 +1,4 @@
-"""The published trust (``viewshed_lab.studies.agents.mate``) on the picture of a center that believes everybody."""
+"""The published trust (``viewshed_lab.studies.agents.mate``) on the picture of a center that trusts all agents."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from viewshed.agents.many import AgentReport, CommonPicture
-from viewshed_lab.studies.agents.mate import LEAST_TRUST, MateReport, MateTrust
+from viewshed_lab.studies.agents.mate import MIN_TRUST, MateReport, MateTrust
 
 
 @dataclass(slots=True)
 class PublishedTrust:
-    """Follows agents and tracks as published; its crisp polygon is the default estimate's mask.
+    """Published trust of agents and tracks, with the mask of the default estimate in place of a polygon.
 
-    So it differs from ours in the trust alone: tracks are the same, and the mask is better than the published polygons.
+    It thus differs from ours in the trust alone: tracks are the same, and the mask is better than published polygons.
     """
 
-    least_trust: float = LEAST_TRUST  # tracks below are left out
+    least_trust: float = MIN_TRUST  # tracks with less trust are not believed
     _mate: MateTrust = field(default_factory=MateTrust)
     _updates: dict[int, int] = field(default_factory=dict)
 
@@ -29,7 +29,7 @@ class PublishedTrust:
         """Return the trust (A,) in each agent of a picture, and which of its tracks (N,) are believed."""
         tracks = picture.tracks
         ids = tracks.ids.tolist()
-        hits = {number: int(one >= 0) for number, one in zip(ids, tracks.detection.tolist(), strict=True)}
+        hits = {number: int(row >= 0) for number, row in zip(ids, tracks.detection.tolist(), strict=True)}
         self._updates = {number: self._updates.get(number, 0) + hits[number] for number in ids}
         xy_m = tracks.boxes[:, :2]
         mate_reports = [
@@ -46,7 +46,7 @@ class PublishedTrust:
 
 
 def _covered(report: AgentReport, boxes: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Return which boxes (N, 7) of the world have their centers in the mask of an agent's view."""
+    """Return the mask (N,) of boxes (N, 7) in the world with their centers in an agent's visible cells."""
     pose = report.world_from_level.inverse()
     at = boxes[:, :2] @ pose.rotation[:2, :2].T + pose.translation[:2]
     return np.asarray(report.estimate.at(at) >= report.estimate.threshold)

@@ -1,4 +1,4 @@
-"""Scenes of several agents as files: what each sees, detects and could have seen, for all runs to share."""
+"""Simulated scenes of several agents, stored as files: views, detections and truth, shared by all runs."""
 
 from __future__ import annotations
 
@@ -41,40 +41,40 @@ MAST_M, PITCH_DEG = 20.0, 30.0
 """Height and downward pitch of the published infrastructure sensor."""
 
 _NODES = BevGrid(NODES, GRID.half_extent_m).centers
-"""Where the ground is kept."""
+"""Places at which ground heights are stored."""
 
 LEVELS = 255
-"""Steps in which probabilities are kept."""
+"""Number of steps of the stored probabilities."""
 
 
 def with_tall_masts(world: World) -> World:
-    """Return the world with its masts as tall and their sensors pitched as published."""
+    """Return the world with masts of the published height and sensors of the published pitch."""
     return with_masts_of(world, MAST_M, float(np.radians(PITCH_DEG)))
 
 
 @lru_cache(maxsize=2)
 def scene_world(plan: AgentsPlan, split: str, number: int) -> World:
-    """Return the world of a scene of a study, with tall masts where the plan has them."""
+    """Return the world of a scene of a study, with tall masts if the plan says so."""
     world = world_of(plan.scene(split, number))
     return with_tall_masts(world) if plan.has_tall_masts(number) else world
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scene:
-    """What T times of A agents hold, in files."""
+    """Data of T times of A agents."""
 
     times_s: F64  # (T,) of the sweeps
     prob: NDArray[np.uint8]  # (T, A, cells, cells) uint8 steps of the probability of visible
     state: NDArray[np.uint8]  # (T, A, cells, cells) uint8 states
     poses: F64  # (T, A, 4, 4) ``world_from_level``
-    # (T, A, nodes, nodes) float16 heights of the ground that each agent estimates, in ``level``
+    # (T, A, nodes, nodes) float16 ground heights that each agent estimates, in ``level``
     ground: NDArray[np.float16]
-    bases: list[list[dict[str, Any]]]  # of the estimates, T lists of A
-    found: F64  # boxes, kinds and returns of the detections (D, 9), in ``level``, ..
-    found_at: NDArray[np.int16]  # ... and the time and the agent of each (D, 2).
+    bases: list[list[dict[str, Any]]]  # ``Basis`` of the estimates, T lists of A
+    found: F64  # (D, 9) detections of all times and agents: box (7) in ``level``, kind, returns
+    found_at: NDArray[np.int16]  # (D, 2) time and agent of each detection
     objects: F64  # (T, K, 7) boxes of all objects in the world
-    returns: NDArray[np.int32]  # (T, A, K) int32 returns that each object gave each agent
-    carriers: NDArray[np.int64]  # (A,) which object carries each agent's sensor, -1 for a mast
+    returns: NDArray[np.int32]  # (T, A, K) int32 number of returns of each object for each agent
+    carriers: NDArray[np.int64]  # (A,) object that carries each agent's sensor, -1 for a mast
 
     @property
     def agents(self) -> tuple[str, ...]:
@@ -85,12 +85,12 @@ class Scene:
     def simulate(
         cls, plan: ScenePlan, detector: Detector, sweeps: Iterable[tuple[Sweep, DriveTruth]] | None = None
     ) -> Self:
-        """Return a scene: every sweep simulated, leveled, estimated by the default method, and searched for objects.
+        """Return a scene: simulate and level every sweep, estimate its view by the default method, detect objects.
 
         Args:
-            plan: of the scene.
-            detector: finds the objects.
-            sweeps: in place of the simulated ones: from another world, or attacked.
+            plan: plan of the scene.
+            detector: detects the objects.
+            sweeps: sweeps to use instead of simulating them, for another world or attacks.
         """
         agents, estimator = plan.preset.agents, load_estimator("shadow_map", grid=GRID)
         times = plan.frames // agents
@@ -105,7 +105,7 @@ class Scene:
         for frame, (sweep, truth) in enumerate(drive_sweeps(plan) if sweeps is None else sweeps):
             time, agent = divmod(frame, agents)
             leveled = level(sweep, GRID)
-            estimate, seen = estimator.estimate(leveled), detector.detect(leveled)
+            estimate, detections = estimator.estimate(leveled), detector.detect(leveled)
             if estimate.world_from_level is None or estimate.basis is None:
                 raise ValueError(f"the sweeps of {plan.name} must have poses and points, got frame {frame} without")
             prob[time, agent], state[time, agent] = np.rint(LEVELS * estimate.visible_prob), estimate.state
@@ -113,19 +113,19 @@ class Scene:
             ground[time, agent] = leveled.ground.at(_NODES)
             bases[time].append({name: getattr(estimate.basis, name) for name in Basis.__slots__})
             if agent == 0:
-                objects.append(np.array([_box_of(each) for each in truth.objects]).reshape(-1, 7))
+                objects.append(np.array([_box_of(one) for one in truth.objects]).reshape(-1, 7))
             if truth.carrier is not None:
-                carriers[agent] = [each.number for each in truth.objects].index(truth.carrier)
+                carriers[agent] = [one.number for one in truth.objects].index(truth.carrier)
             returns.append(truth.returns)
-            found.append(np.column_stack([seen.boxes, seen.kinds, seen.returns]))
-            found_at.append(np.tile(np.array([time, agent], np.int16), (len(seen), 1)))
+            found.append(np.column_stack([detections.boxes, detections.kinds, detections.returns]))
+            found_at.append(np.tile(np.array([time, agent], np.int16), (len(detections), 1)))
         return cls(
             times_s, prob, state, poses, ground, bases, np.concatenate(found), np.concatenate(found_at),
             np.stack(objects), np.stack(returns).reshape(*shape, -1), carriers,
         )  # fmt: skip
 
     def reports(self, time: int) -> list[AgentReport]:
-        """Return what every agent honestly says of a time."""
+        """Return the honest reports of all agents at a time."""
         out = []
         for number, agent in enumerate(self.agents):
             pose = self.poses[time, number]
@@ -146,7 +146,7 @@ class Scene:
         return out
 
     def save(self, path: Path) -> None:
-        """Write it at once or not at all; the same scene, the same bytes."""
+        """Write the scene atomically; equal scenes give equal bytes."""
         file = io.BytesIO()
         bases = np.frombuffer(json.dumps(self.bases).encode(), np.uint8)
         arrays = {name: getattr(self, name) for name in self.__slots__ if name != "bases"}
@@ -158,7 +158,7 @@ class Scene:
         """Return the scene in a file.
 
         Raises:
-            OSError, ValueError, KeyError: it cannot be read.
+            OSError, ValueError, KeyError: the file cannot be read.
         """
         with np.load(path, allow_pickle=False) as file:
             arrays = {name: file[name] for name in cls.__slots__}

@@ -1,4 +1,4 @@
-"""What the metric can see: masks with known faults, which it must rank, and the smallest fault that a table shows."""
+"""Sensitivity of the cross-view metric: masks with known faults, and the smallest fault that a table can show."""
 
 from __future__ import annotations
 
@@ -24,21 +24,21 @@ BLOB_M = 4.5
 """Diameter of a wrong blob: the length of a car."""
 
 Change = Callable[[Mask, BevGrid, np.random.Generator], Mask]
-"""From a mask (cells, cells) and its grid to the mask with a fault."""
+"""Maps a mask (cells, cells) and its grid to the mask with a fault."""
 
 
 def dilated(by_m: float) -> Change:
-    """Return the fault of a mask that reaches too far by a length in meters on all sides."""
+    """Return the fault that dilates a mask by a length in meters on all sides."""
     return lambda mask, grid, _rng: np.asarray(binary_dilation(mask, _disk(by_m / grid.cell_m)))
 
 
 def false_blobs(count: int) -> Change:
-    """Return the fault of blobs that are claimed and not visible."""
+    """Return the fault that claims ``count`` random blobs that are not visible."""
     return lambda mask, grid, rng: mask | _blobs(~mask, count, grid, rng)
 
 
 def misses(count: int) -> Change:
-    """Return the fault of blobs that are visible and not claimed."""
+    """Return the fault that does not claim ``count`` random blobs that are visible."""
     return lambda mask, grid, rng: mask & ~_blobs(mask, count, grid, rng)
 
 
@@ -50,55 +50,55 @@ KNOWN_FAULTS: dict[str, Change] = {
     "12 misses": misses(12),
     "100 misses": misses(100),
 }
-"""Faults by name; blobs are as long as a car, drawn anew for each sweep."""
+"""Faults by name; blobs have the length of a car and are drawn anew for each sweep."""
 
 
 def _with_fault(change: Change, estimator: FovEstimator, sweep: Sweep) -> FovEstimate:
-    """Return the mask of an estimator with a fault; the same for the same sweep."""
-    found = estimator.estimate(sweep)
-    mask = change(found.visible(), estimator.grid, generator(0, str(sweep.t_ns)))
-    return FovEstimate(estimator.grid, mask.astype(np.float32), found.state)
+    """Return the mask of an estimator with a fault that depends on the sweep's time alone."""
+    estimate = estimator.estimate(sweep)
+    mask = change(estimate.visible(), estimator.grid, generator(0, str(sweep.t_ns)))
+    return FovEstimate(estimator.grid, mask.astype(np.float32), estimate.state)
 
 
 def with_known_faults(name: str, estimator: FovEstimator) -> dict[str, FovEstimator]:
-    """Return an estimator by its name, and after it the same with each known fault."""
+    """Return an estimator by name, followed by the estimator with each known fault."""
     faults = {fault: partial(_with_fault, change) for fault, change in KNOWN_FAULTS.items()}
     return {name: estimator, **{f"{name}, {fault}": Changed(estimator, answer) for fault, answer in faults.items()}}
 
 
 def _disk(radius: float) -> Mask:
-    """Return a disk of a radius in cells."""
+    """Return the mask of a disk with a radius in cells."""
     reach = np.arange(-np.ceil(radius), np.ceil(radius) + 1)
     return np.asarray(np.hypot(reach[:, None], reach) <= radius)
 
 
 def _blobs(within: Mask, count: int, grid: BevGrid, rng: np.random.Generator) -> Mask:
-    """Return blobs whose middles lie in a mask, no farther away than columns are looked for."""
-    middles = np.argwhere(within & (polar_of_cells(grid)[0] < RANGE_A_M[1]))
+    """Return the mask of ``count`` blobs with centers in a mask, within the range of columns."""
+    candidates = np.argwhere(within & (polar_of_cells(grid)[0] < RANGE_A_M[1]))
     centers = np.zeros(grid.shape, np.bool_)
-    if len(middles):
-        centers[tuple(rng.permutation(middles)[:count].T)] = True
+    if len(candidates):
+        centers[tuple(rng.permutation(candidates)[:count].T)] = True
     return np.asarray(binary_dilation(centers, _disk(BLOB_M / 2 / grid.cell_m)))
 
 
 SHARES = (0.005, 0.01, 0.02, 0.03, 0.05, 0.07, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.7)
-"""Of the ground that is called wrongly, which are tried in turn."""
+"""Shares of wrongly classified ground to try, in ascending order."""
 
 _DRAWS, _POWER, _CHANCE = 200, 0.8, 0.05
 
 
 @dataclass(frozen=True, slots=True)
 class SmallestDifference:
-    """The smallest share of wrongly called ground that a table shows; NaN where it would show none of ``SHARES``."""
+    """The smallest share of wrongly classified ground that a table shows; NaN if it would show none of ``SHARES``."""
 
-    over: float  # of the ground that is not visible, called visible
-    under: float  # of the ground that is visible, not called so
-    hidden_columns: int  # that ``over`` rests on
-    hidden_sweeps: int  # that these are from
+    over: float  # share of hidden ground that is claimed
+    under: float  # share of visible ground that is not claimed
+    hidden_columns: int  # number of columns for ``over``
+    hidden_sweeps: int  # number of their sweeps
 
     @classmethod
     def of(cls, truth: CrossViewTruth, floor: tuple[float, float], rng: np.random.Generator) -> SmallestDifference:
-        """Return what the columns of a truth would show, beyond the metric's own over- and under-claim ``floor``."""
+        """Return the smallest shares that a truth shows beyond the metric's own over- and under-claim ``floor``."""
         hidden = [columns.xy[columns.hidden] for _, columns in truth]
         seen = [columns.xy[columns.seen] for _, columns in truth]
         over, under = (smallest_share(xy, own, rng) for xy, own in zip((hidden, seen), floor, strict=True))
@@ -106,32 +106,32 @@ class SmallestDifference:
 
 
 def smallest_share(places: Sequence[NDArray[np.float64]], floor: float, rng: np.random.Generator) -> float:
-    """Return the smallest of ``SHARES`` that columns at ``places`` tell from the metric's own error; NaN for none.
+    """Return the smallest of ``SHARES`` that columns at ``places`` can detect; NaN for none.
 
-    Wrong ground is drawn in blobs of ``BLOB_M``: columns of one sweep that stand beside each other are wrong together,
-    so that a thousand columns of one wall count for little more than one. A share is reported if in ``_POWER`` of the
-    draws more columns are wrong than the metric's own error makes wrong in all but ``_CHANCE`` of the cases.
+    Wrong ground is drawn in blobs of ``BLOB_M``: neighboring columns of one sweep are wrong together, so that a
+    thousand columns of one wall count for little more than one. A share is detected if in at least ``_POWER`` of the
+    draws the number of wrong columns exceeds the quantile 1 - ``_CHANCE`` of the metric's own error.
 
     Args:
         places: columns (M, 2) of each sweep, in meters.
-        floor: share of columns that the metric calls wrong although the mask is right.
-        rng: all that is random.
+        floor: share of columns that are wrong by the metric's own error.
+        rng: source of all random draws.
     """
     columns = sum(map(len, places))
-    least = binom.ppf(1 - _CHANCE, columns, floor) + 1
+    minimum = binom.ppf(1 - _CHANCE, columns, floor) + 1
     for share in SHARES if columns else ():
         wrong = np.array([sum(_in_blobs(xy, share, rng) for xy in places) for _ in range(_DRAWS)])
-        if np.mean(wrong + rng.binomial(columns - wrong, floor) >= least) >= _POWER:
+        if np.mean(wrong + rng.binomial(columns - wrong, floor) >= minimum) >= _POWER:
             return share
     return float("nan")
 
 
 def _in_blobs(xy: NDArray[np.float64], share: float, rng: np.random.Generator) -> int:
-    """Return how many places lie in blobs that are strewn at random over a share of the ground."""
+    """Return the number of places in random blobs that cover a share of the ground."""
     if not len(xy):
         return 0
     low, high = xy.min(axis=0) - BLOB_M, xy.max(axis=0) + BLOB_M
-    # Disks at random leave a share exp(-density * area of a disk) of the ground free.
+    # Random disks leave a share exp(-density * area of a disk) of the ground free.
     density = -np.log1p(-share) / (np.pi * BLOB_M**2 / 4)
-    middles = rng.uniform(low, high, (rng.poisson(density * np.prod(high - low)), 2))
-    return int(np.isfinite(cKDTree(middles).query(xy, distance_upper_bound=BLOB_M / 2)[0]).sum()) if len(middles) else 0
+    centers = rng.uniform(low, high, (rng.poisson(density * np.prod(high - low)), 2))
+    return int(np.isfinite(cKDTree(centers).query(xy, distance_upper_bound=BLOB_M / 2)[0]).sum()) if len(centers) else 0

@@ -1,4 +1,4 @@
-"""The page of cross-view truth: over- and under-claim by sensor, attacked as well, and the floor of the metric."""
+"""The page of cross-view truth: over- and under-claim by sensor, also under attack, and the error of the metric."""
 
 from __future__ import annotations
 
@@ -35,34 +35,34 @@ from viewshed_lab.studies.plan import check_names, check_seed
 from viewshed_lab.threats.attacks import ATTACKS, Knowledge
 
 POINTS = 150
-"""Of an attacker."""
+"""Number of points of an attacker."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SensorScenes:
-    """The scenes of one sensor, and what its sweeps know about each other."""
+    """The scenes of one sensor, and the cross-view truth of its sweeps."""
 
     name: str  # of the sensor
     scenes: list[list[Sweep]]  # sweeps of each
     truth: CrossViewTruth
-    difference: SmallestDifference | None  # that its columns show; None if the metric's own error is unknown
+    difference: SmallestDifference | None  # that its columns can show; None if the metric's own error is unknown
 
     @property
     def title(self) -> str:
-        """The sensor, how many scenes and sweeps."""
+        """Name of the sensor with the numbers of scenes and sweeps."""
         return f"{self.name}, {len(self.scenes)} scene(s), {sum(map(len, self.scenes))} sweeps"
 
     @property
     def seen(self) -> str | None:
-        """What the columns would show, in words; None where that was not measured."""
+        """Sentence on the smallest differences that the columns would show; None if that was not measured."""
         if self.difference is None:
             return None
-        found = self.difference
+        least = self.difference
         over, under = (
             f"no {kind} at all" if isnan(share) else f"{kind} of {share:g} or more of the {ground} ground"
-            for kind, share, ground in (("over-claim", found.over, "hidden"), ("under-claim", found.under, "visible"))
+            for kind, share, ground in (("over-claim", least.over, "hidden"), ("under-claim", least.under, "visible"))
         )
-        columns = f"({found.hidden_columns} columns of {found.hidden_sweeps} sweeps)"
+        columns = f"({least.hidden_columns} columns of {least.hidden_sweeps} sweeps)"
         return f"Smallest differences that these columns would show: {over} {columns}; {under}."
 
 
@@ -75,45 +75,46 @@ def page_of(
     *,
     floor: bool = True,
 ) -> str:
-    """Return the page of an index of posed sweeps, each folder of which is one scene, as Markdown.
+    """Return the page of an index of posed sweeps as Markdown; each folder of the index is one scene.
 
-    Sweeps are shown under the ``attacks`` (of ``ATTACKS``) as well; with ``floor`` the metric's own error is measured
-    in a simulation. ``seed`` is that of the bootstrap.
+    Estimators are also evaluated under ``attacks`` (names in ``ATTACKS``). With ``floor``, the metric's own error is
+    measured in a simulation. ``seed`` is that of the bootstrap.
     """
     check_names("attacks", attacks, ATTACKS)
     check_seed("seed", seed)
-    found, own = posed_scenes(index), list[CrossViewRow]()
+    by_sensor, floor_rows = posed_scenes(index), list[CrossViewRow]()
     if floor:
         few = {one: estimators[one] for one in estimators if one in ("shadow_map", "majority_vote", "first_blocker")}
         on_step("floor")
-        own = evaluate_floor(few, rng=np.random.default_rng(seed))
-    sensors = [_looked_at(sensor, scenes, own, seed, on_step) for sensor, scenes in found.items()]
+        floor_rows = evaluate_floor(few, rng=np.random.default_rng(seed))
+    sensors = [_sensor_scenes(sensor, scenes, floor_rows, seed, on_step) for sensor, scenes in by_sensor.items()]
 
-    def rates(of: SensorScenes, tried: Mapping[str, FovEstimator]) -> Table:
-        return _table(rows_of(of.truth, tried, rng=np.random.default_rng(seed), on_step=on_step))
+    def rates(sensor: SensorScenes, rated: Mapping[str, FovEstimator]) -> Table:
+        return _table(rows_of(sensor.truth, rated, rng=np.random.default_rng(seed), on_step=on_step))
 
     page = fill_template(
         "crossview/page.md", sensors=sensors, attacked=sensors if attacks else (), points=POINTS, blob_m=BLOB_M,
-        floor=_table(own) if floor else None, estimators=estimators, rates=rates,
+        floor=_table(floor_rows) if floor else None, estimators=estimators, rates=rates,
         faulty=_with_known_faults(estimators) if floor else None,
-        attacked_rates=lambda of: _under_attack(of.truth, estimators, attacks, seed, on_step),
+        attacked_rates=lambda sensor: _under_attack(sensor.truth, estimators, attacks, seed, on_step),
     )  # fmt: skip
     about = facts(seed=str(seed), grid="road (256 cells of 0.5 m)", target="car")
     return page.markdown(about)
 
 
-def _looked_at(
-    sensor: str, scenes: list[list[Sweep]], own: Sequence[CrossViewRow], seed: int, on_step: OnStep
+def _sensor_scenes(
+    sensor: str, scenes: list[list[Sweep]], floor: Sequence[CrossViewRow], seed: int, on_step: OnStep
 ) -> SensorScenes:
-    """Return the scenes of a sensor with what its sweeps know; ``own`` begins with the rates of the exact mask."""
+    """Return the scenes of a sensor with their truth; the first row of ``floor`` has the rates of the exact mask."""
     truth, difference = crossview_truth(scenes, on_step), None
-    if own:
-        difference = SmallestDifference.of(truth, (own[0].over.high, own[0].under.high), np.random.default_rng(seed))
+    if floor:
+        error = floor[0].over.high, floor[0].under.high
+        difference = SmallestDifference.of(truth, error, np.random.default_rng(seed))
     return SensorScenes(sensor, scenes, truth, difference)
 
 
 def _with_known_faults(estimators: Mapping[str, FovEstimator]) -> dict[str, FovEstimator]:
-    """Return one of the estimators and the same with each known fault: the shadow map if it is among them."""
+    """Return the shadow map, or without it the first estimator, bare and with each known fault."""
     name = "shadow_map" if "shadow_map" in estimators else next(iter(estimators))
     return with_known_faults(name, estimators[name])
 
@@ -121,7 +122,7 @@ def _with_known_faults(estimators: Mapping[str, FovEstimator]) -> dict[str, FovE
 def posed_scenes(index: Path) -> dict[str, list[list[Sweep]]]:
     """Return the sweeps by sensor and scene.
 
-    A scene is a folder of the index with three posed sweeps or more over 0.7 s, or with several sensors at one time.
+    A scene is a folder of the index with at least three posed sweeps over 0.7 s, or with several sensors at one time.
     """
     folders = defaultdict(list)
     for entry in read_index(index):
@@ -144,7 +145,7 @@ def posed_scenes(index: Path) -> dict[str, list[list[Sweep]]]:
 
 
 def _with_beams(sweep: Sweep, name: str) -> Sweep:
-    """Return the sweep with the beam table that the index names, where its file does not bring one."""
+    """Return the sweep with a beam table: its own, else that named by the index, if it is known."""
     with contextlib.suppress(ValueError):
         return sweep if sweep.model is not None else sweep.replace(model=lidar_model(name.removeprefix("Velodyne ")))
     return sweep
@@ -153,22 +154,22 @@ def _with_beams(sweep: Sweep, name: str) -> Sweep:
 def _under_attack(
     truth: CrossViewTruth, estimators: Mapping[str, FovEstimator], attacks: Sequence[str], seed: int, on_step: OnStep
 ) -> Table:
-    """Return over- and under-claim without and with each attack, estimator by estimator."""
-    found: dict[str, list[tuple[float, float]]] = defaultdict(list)
+    """Return the table of over- and under-claim without and with each attack, by estimator."""
+    by_method: dict[str, list[tuple[float, float]]] = defaultdict(list)
     for name in ("", *attacks):
         rng = np.random.default_rng(seed)
         for row in rows_of(truth, estimators, rng=rng, on_step=on_step, shown=partial(_attacked, name, rng)):
-            found[row.method].append((row.over.value, row.under.value))
+            by_method[row.method].append((row.over.value, row.under.value))
     rows = []
-    for method, rates in found.items():
-        grown = [more for more in (np.array(rates) - rates[0]).ravel().tolist() if not isnan(more)]
+    for method, rates in by_method.items():
+        growth = [more for more in (np.array(rates) - rates[0]).ravel().tolist() if not isnan(more)]
         cells = [" / ".join(format_number(rate, 3) for rate in pair) for pair in rates]
-        rows.append([method, *cells, f"{max(grown):+.3f}" if grown else "–"])
+        rows.append([method, *cells, f"{max(growth):+.3f}" if growth else "–"])
     return Table(["estimator", "untouched", *attacks, "grows by"], rows)
 
 
 def _attacked(name: str, rng: np.random.Generator, sweep: Sweep) -> Sweep:
-    """Return a sweep under an attack; one that does not allow it stays as it is."""
+    """Return a sweep under an attack; unchanged if the attack is impossible on it."""
     if name:
         with contextlib.suppress(ValueError):
             return ATTACKS[name](POINTS, Knowledge(half_extent_m=64.0)).apply(sweep, rng).sweep
@@ -176,8 +177,8 @@ def _attacked(name: str, rng: np.random.Generator, sweep: Sweep) -> Sweep:
 
 
 def _table(rows: Sequence[CrossViewRow]) -> Table:
-    def rate(of: ColumnRate) -> str:
-        return f"{of.value:.3f} [{of.low:.3f}, {of.high:.3f}] of {of.columns}" if of.columns else "no columns"
+    def rate(one: ColumnRate) -> str:
+        return f"{one.value:.3f} [{one.low:.3f}, {one.high:.3f}] of {one.columns}" if one.columns else "no columns"
 
     return lines("estimator", {row.method: row for row in rows}, {
         "over": lambda row: rate(row.over),

@@ -1,6 +1,6 @@
-"""Cross-view truth: what one posed sweep sees of a static scene tells what another one should have seen.
+"""Cross-view truth: posed sweeps of a static scene show what another sweep of it should have seen.
 
-No estimator makes this truth: a column that sweep B sees, and that sweep A must either show or miss, is a known
+This truth needs no estimator: a tall column that sweep B sees is either shown or missed by sweep A, which is a known
 answer about A's field of view. Rates: ``over`` = P(claimed visible | A does not see the column), ``under`` =
 P(not claimed visible | A sees it).
 """
@@ -22,52 +22,52 @@ from viewshed.preprocess.leveling import LeveledSweep, level
 from viewshed.sweep import Sweep
 
 OnStep = Callable[[str], None]
-"""Is called with what is done next."""
+"""Is called with the name of the next step."""
 
 
-# How columns are chosen; every length in meters above each sweep's own local ground.
-BODY_M, BODY_RETURNS = (0.5, 1.5), 3  # a column needs this many returns of B between these heights
-TOP_M = (1.1, 2.2)  # and one return between these, so that it is about as tall as a car
+# Selection of columns; all heights are in meters above each sweep's own local ground.
+BODY_M, BODY_RETURNS = (0.5, 1.5), 3  # a column needs at least this many returns of B between these heights
+TOP_M = (1.1, 2.2)  # and at least one return between these, so that it is about as tall as a car
 # A column counts as not seen only if another sweep has a return near it between these heights, so that A's beams cannot
 # pass below it as they do below a bus, ...
 FOOT_M = (0.1, 0.3)
-ACROSS_M = 0.9  # ... and if the scene is as tall so far to its left and right: a target, not a post before a gap
+ACROSS_M = 0.9  # ... and only if there are columns this far to its left and right: a target, not a post beside a gap
 RANGE_A_M, RANGE_B_M = (4.0, 45.0), (3.0, 50.0)  # distance of the column from A and from B
-STATIC_S = 0.7  # another sweep, this many seconds from B or more, must see it too, or it may have moved
-TOGETHER_S = 0.02  # what B measured within this time of A needs no such witness
-NEAR_M = 0.5  # returns within this distance of the column's middle belong to it
-SEEN_M, SEEN_RETURNS = (0.2, 1.7), 2  # A sees the column with this many returns between these heights
-CLEAR_M = 1.5  # A does not see it if it has no return between those heights within this distance
-COVERAGE = 3  # returned beams of A that must aim at the column
-# A column that this share (and at least two) of those beams pass by so much has moved or can be seen through: it is
-# dropped.
+STATIC_S = 0.7  # another sweep, at least this many seconds from B, must see it too, or it may have moved
+TOGETHER_S = 0.02  # columns that B measured within this time of A need no such second sweep
+NEAR_M = 0.5  # returns within this distance of the column's center belong to it
+SEEN_M, SEEN_RETURNS = (0.2, 1.7), 2  # A sees a column with at least this many returns between these heights
+CLEAR_M = 1.5  # A does not see a column without a return between those heights within this distance
+COVERAGE = 3  # minimum number of returned beams of A that aim at the column
+# A column has moved or is transparent if at least this share (and at least two) of those beams end more than this
+# distance behind it; it is dropped.
 THROUGH_SHARE, THROUGH_M = 0.3, 1.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SeenColumns:
-    """What is known of A's view: columns (M, 2) in A's ``level`` frame, and whether A sees each."""
+    """Cross-view truth of a sweep A: columns in its ``level`` frame, and whether it sees each."""
 
     xy: NDArray[np.float64]  # (M, 2) meters
-    seen: NDArray[np.bool_]  # (M,) bool: A sees the column; the others it does not
-    through: NDArray[np.bool_]  # (M,) bool: not seen, but A's beams pass it: moved or see-through; left out of ``over``
+    seen: NDArray[np.bool_]  # (M,) bool: A sees the column
+    through: NDArray[np.bool_]  # (M,) bool: not seen, but A's beams pass it (moved or transparent); not in ``over``
 
     @property
     def hidden(self) -> NDArray[np.bool_]:
-        """(M,) bool: A does not see the column; those that its beams pass are left out."""
+        """(M,) bool: A does not see the column, and its beams do not pass it."""
         return ~self.seen & ~self.through
 
 
 CrossViewTruth = Sequence[tuple[Sweep, SeenColumns]]
-"""Sweeps, each with what the others of its scene know about its view."""
+"""Sweeps, each with its columns known from the other sweeps of its scene."""
 
 
 @dataclass(frozen=True, slots=True)
 class ColumnRate:
-    """A rate, its 95 % interval, and how many columns it rests on.
+    """A rate, its 95 % interval, and its number of columns.
 
-    The interval is the wider of a bootstrap over sweeps and the exact binomial one (Clopper and Pearson 1934): with
-    no error among a few columns the bootstrap alone would claim certainty.
+    The interval is the union of a bootstrap over sweeps and the exact binomial one (Clopper and Pearson 1934): without
+    any error among a few columns, the bootstrap alone would have zero width.
     """
 
     value: float
@@ -89,11 +89,11 @@ class CrossViewRow:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _TallColumns:
-    """What one sweep sees that is as tall as the target, and who sees it as well."""
+    """Columns of one sweep that are as tall as the target, and the other sweeps that see them."""
 
     sweep: LeveledSweep
     feet: NDArray[np.float64]  # (M, 3) on the ground, in the sweep's ``level`` frame
-    # sweeps of another time, each with which of the columns (M,) it sees too
+    # sweeps of another time, each with the mask (M,) of columns that it sees too
     witnesses: Sequence[tuple[LeveledSweep, NDArray[np.bool_]]]
 
     @classmethod
@@ -105,7 +105,7 @@ class _TallColumns:
         return cls(b, np.column_stack([xy, b.ground.at(xy)]), witnesses)
 
     def known_to(self, a: LeveledSweep) -> NDArray[np.float64]:
-        """Return the columns (M, 2), in A's level frame, that stand still: seen at the time of A, or twice."""
+        """Return the static columns (M, 2) in A's level frame: seen at the time of A, or at two times."""
         static = np.full(len(self.feet), _seconds_apart(a, self.sweep) <= TOGETHER_S)
         for c, sees in self.witnesses:
             if c is not a:
@@ -118,18 +118,18 @@ class _TallColumns:
 
 
 def _columns_of(a: LeveledSweep, scene: Sequence[_TallColumns]) -> SeenColumns:
-    """Return the columns that the other sweeps of a scene know about the view of ``a``."""
+    """Return the truth of ``a`` from the columns of the other sweeps of a scene."""
     others = [tall.sweep for tall in scene if tall.sweep is not a]
-    found = [xy for tall in scene if tall.sweep is not a for xy in [tall.known_to(a)] if len(xy)]
-    if not found:
+    columns = [xy for tall in scene if tall.sweep is not a for xy in [tall.known_to(a)] if len(xy)]
+    if not columns:
         return SeenColumns(np.empty((0, 2)), np.empty(0, bool), np.empty(0, bool))
-    # Places on a lattice of 0.25 m, each once.
-    xy = np.unique(np.round(np.concatenate(found) / 0.25), axis=0) * 0.25
+    # Round to a lattice of 0.25 m and remove duplicates.
+    xy = np.unique(np.round(np.concatenate(columns) / 0.25), axis=0) * 0.25
     tree = cKDTree(_returns(a, SEEN_M)[:, :2].astype(np.float64).reshape(-1, 2))
     near = _counts(tree, xy, NEAR_M)
-    # A foot of it that any other sweep saw is enough.
-    standing = np.any([_shows(b, FOOT_M, a, xy) for b in others], axis=0)
-    clear = (_counts(tree, xy, CLEAR_M) == 0) & standing & _as_wide_as_target(xy)
+    # Its foot must be seen by any other sweep.
+    on_ground = np.any([_shows(b, FOOT_M, a, xy) for b in others], axis=0)
+    clear = (_counts(tree, xy, CLEAR_M) == 0) & on_ground & _as_wide_as_target(xy)
     seen = near >= SEEN_RETURNS
     aimed, through = _aimed_and_through(a, xy)
     known = (seen | clear) & (aimed >= COVERAGE)
@@ -145,7 +145,7 @@ def _returns(b: LeveledSweep, height_m: tuple[float, float]) -> NDArray[np.float
 def _shows(
     b: LeveledSweep, height_m: tuple[float, float], a: LeveledSweep, xy: NDArray[np.float64]
 ) -> NDArray[np.bool_]:
-    """Return at which places (M, 2), in A's level frame, ``b`` has a return between two heights."""
+    """Return the mask (M,) of places (M, 2) in A's level frame where ``b`` has a return between two heights."""
     in_a = _between(a, b) @ _returns(b, height_m)
     return _counts(cKDTree(in_a[:, :2].reshape(-1, 2)), xy, NEAR_M) > 0
 
@@ -157,7 +157,7 @@ def _as_wide_as_target(xy: NDArray[np.float64]) -> NDArray[np.bool_]:
 
 
 def _tall_columns(b: LeveledSweep) -> NDArray[np.float64]:
-    """Return the columns (M, 2) of ``b`` that are as tall as the target."""
+    """Return the columns (M, 2) of ``b`` that are as tall as the target, in its level frame."""
     grid = BevGrid(round(4 * RANGE_B_M[1]), RANGE_B_M[1])
     range_b = np.hypot(grid.centers[..., 0], grid.centers[..., 1])
     enough = (range_b > RANGE_B_M[0]) & (range_b < RANGE_B_M[1])
@@ -166,11 +166,12 @@ def _tall_columns(b: LeveledSweep) -> NDArray[np.float64]:
     return grid.centers[enough]
 
 
-def _between(to: LeveledSweep, of: LeveledSweep) -> Any:
-    to_pose, of_pose = to.world_from_level, of.world_from_level
-    if to_pose is None or of_pose is None:
+def _between(to: LeveledSweep, source: LeveledSweep) -> Any:
+    """Return the transform from the level frame of ``source`` to that of ``to``."""
+    to_pose, source_pose = to.world_from_level, source.world_from_level
+    if to_pose is None or source_pose is None:
         raise ValueError("cross-view truth needs the pose of every sweep (world_from_sensor)")
-    return to_pose.inverse() @ of_pose
+    return to_pose.inverse() @ source_pose
 
 
 def _seconds_apart(b: LeveledSweep, c: LeveledSweep) -> float:
@@ -187,10 +188,10 @@ def _counts(tree: Any, xy: NDArray[np.float64], radius_m: float) -> NDArray[np.i
 
 
 def _aimed_and_through(a: LeveledSweep, xy: NDArray[np.float64]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return how many returned beams of ``a`` aim at each column, and how many of them end well behind it."""
+    """Return the number (M,) of returned beams of ``a`` that aim at each column, and of those ending well behind it."""
     beams = a.beams()
     order = np.argsort(beams.azimuth, kind="stable")
-    # In double precision, as what is looked up: else each look-up would convert all beams.
+    # float64 like the searched values; otherwise searchsorted converts all beams at each call.
     azimuth = beams.azimuth[order].astype(np.float64)
     slope, depth = beams.slope[order], beams.depth_m[order]
     ground = a.ground.at(xy) - a.sensor_height_m
@@ -210,14 +211,14 @@ def _aimed_and_through(a: LeveledSweep, xy: NDArray[np.float64]) -> tuple[NDArra
 def evaluate_crossview(
     sequences: Sequence[Sequence[Sweep]], estimators: Mapping[str, FovEstimator], *, rng: np.random.Generator
 ) -> list[CrossViewRow]:
-    """Return one row of rates for each estimator, over all sweeps of all sequences (each a static scene)."""
+    """Return one row of rates per estimator, over all sweeps of all sequences (each a static scene)."""
     return rows_of(crossview_truth(sequences), estimators, rng=rng)
 
 
 def crossview_truth(
     sequences: Sequence[Sequence[Sweep]], on_step: OnStep = lambda _: None
 ) -> list[tuple[Sweep, SeenColumns]]:
-    """Return each sweep of all sequences with what the others of its scene know; see :func:`evaluate_crossview`."""
+    """Return each sweep of all sequences with its truth from the other sweeps; see :func:`evaluate_crossview`."""
     truth: list[tuple[Sweep, SeenColumns]] = []
     for sweeps in sequences:
         levels = [level(sweep, BevGrid(256, 64.0)) for sweep in sweeps]
@@ -236,15 +237,15 @@ def rows_of(
     on_step: OnStep = lambda _: None,
     shown: Callable[[Sweep], Sweep] = lambda sweep: sweep,
 ) -> list[CrossViewRow]:
-    """Return one row of rates for each estimator against the truth of some sweeps, of :func:`crossview_truth`.
+    """Return one row of rates per estimator against a truth of :func:`crossview_truth`.
 
-    ``shown`` returns what estimators are shown of a sweep, perhaps attacked; the truth is of the sweep itself.
+    ``shown`` changes a sweep before it is estimated, for example by an attack; the truth is of the original sweep.
     """
-    seen = [(shown(sweep), columns) for sweep, columns in truth]
+    changed = [(shown(sweep), columns) for sweep, columns in truth]
     rows = []
     for method, estimator in estimators.items():
         on_step(method)
-        rows.append(_row(method, estimator, seen, rng))
+        rows.append(_row(method, estimator, changed, rng))
     return rows
 
 

@@ -1,7 +1,7 @@
-"""Attacks on certificates: drawn at random, by evolution, along the gradient of the bound, and all of them on a toy.
+"""Attacks on certificates: random, by evolution, along the gradient of the bound, and exhaustive on a toy sensor.
 
-Every attack obeys its threat, on the returns of a sweep: it changes the beams that the threat lets it change and adds
-points. An attacked sweep is then read as any other is.
+Every attack stays within its threat: it changes only the beams that the threat allows, and adds points. An attacked
+sweep is then processed like any other.
 """
 
 from __future__ import annotations
@@ -35,20 +35,20 @@ NEAR_GRID = BevGrid(128, 32.0)
 TOY = LidarModel("toy", np.deg2rad([-20.0, -12.0, -7.0, -3.0]), 24)
 
 _DEEPEST = 60
-"""Beams that a cell may lack to count for the gradient of a wedge."""
+"""Maximum number of beams that a cell may lack to count for the gradient of a wedge."""
 
 _CHECKED = 40
-"""Every Nth attack of this N is certified as well, as a victim would."""
+"""Every Nth attack is also certified from its points, as a victim would."""
 
 
 @dataclass(slots=True)
 class Tally:
-    """What came of the attacks of one kind and threat."""
+    """Results of the attacks of one kind and threat."""
 
-    tried: int = 0  # attacks
-    violations: int = 0  # attacks after which a cell was certified, or an area opened, that the certificate rules out
-    best_m2: float = 0.0  # the most that one opened
-    bound_m2: float = 0.0  # what the bound allowed there
+    tried: int = 0  # number of attacks
+    violations: int = 0  # attacks that get a cell certified, or open an area, against the certificate
+    best_m2: float = 0.0  # largest area that an attack opened
+    bound_m2: float = 0.0  # bound on that area
 
 
 @dataclass(slots=True, eq=False)
@@ -56,12 +56,12 @@ class Victim:
     """A sweep without an attack, its envelope, and the returns of each of its beams."""
 
     sweep: Sweep  # without an attack
-    given: Given  # what the envelope takes for granted
+    given: Given  # assumptions of the envelope
     envelope: Envelope  # of the sweep
     beam: NDArray[np.intp] = field(init=False)  # (N,) beam of each return: ring · columns + column
 
     def __post_init__(self) -> None:
-        # The beam of each return, as the envelope reads it: one return at a time would be slow, so by ring and azimuth.
+        # The beam of each return as the envelope assigns it, vectorized by ring and azimuth.
         columns, model = self.given.model.azimuth_columns, self.given.model
         level_xyz = self.sweep.points @ self.given.rotation.T.astype(np.float32)
         turn = (np.arctan2(level_xyz[:, 1], level_xyz[:, 0]) + np.pi) / (2 * np.pi)
@@ -75,7 +75,7 @@ class Victim:
         self.beam = ring * columns + column
 
     def attacked(self, beams: NDArray[np.intp], range_m: F32, added: F32) -> Sweep:
-        """Return the sweep whose ``beams`` return at ``range_m`` (+inf: not at all) along their rays, with points."""
+        """Return the sweep with ``beams`` returning at ``range_m`` (+inf: not at all), and with points ``added``."""
         keep = ~np.isin(self.beam, beams)
         model = self.given.model
         moved = np.isfinite(range_m)
@@ -85,12 +85,12 @@ class Victim:
         rays = np.column_stack(
             [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)]
         )
-        made = (rays * range_m[moved, None]).astype(np.float32)
-        points = np.concatenate([self.sweep.points[keep], made, added])
+        replaced = (rays * range_m[moved, None]).astype(np.float32)
+        points = np.concatenate([self.sweep.points[keep], replaced, added])
         rings = None
         if self.sweep.ring is not None:
-            anywhere = (np.arange(len(added)) * 7) % model.rings
-            rings = np.concatenate([self.sweep.ring[keep], ring, anywhere]).astype(np.int16)
+            added_ring = (np.arange(len(added)) * 7) % model.rings
+            rings = np.concatenate([self.sweep.ring[keep], ring, added_ring]).astype(np.int16)
         return self.sweep.replace(points=points, ring=rings, intensity=None, azimuth=None, time_s=None)
 
     def envelope_of(self, sweep: Sweep) -> Envelope:
@@ -100,20 +100,20 @@ class Victim:
 
 
 def own_victim(sweep: Sweep, grid: BevGrid) -> Victim:
-    """Return a sweep of the study's scenes as a victim."""
+    """Return the victim of a sweep of the study's scenes."""
     leveled = level(sweep, grid)
     given = Given.of(leveled, grade=0.0)
     return Victim(sweep, given, Envelope.of(leveled, given, grid, CAR))
 
 
 def toy_victim(rng: np.random.Generator) -> Victim:
-    """Return a toy sensor of 96 beams before a wall."""
+    """Return a toy sensor of 96 beams in front of a wall."""
     azimuth = (np.arange(24) + 0.5) / 24 * 2 * np.pi - np.pi
     a, e = (part.ravel() for part in np.meshgrid(azimuth, TOY.elevation))
     rays = np.column_stack([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
     depth = np.minimum(-1.5 / np.minimum(rays[:, 2], -1e-9), 25.0)
-    middle, half, range_m = rng.uniform(-np.pi, np.pi), rng.uniform(0.2, 0.8), rng.uniform(2.0, 5.0)
-    behind = np.abs((a - middle + np.pi) % (2 * np.pi) - np.pi) < half
+    center, half, range_m = rng.uniform(-np.pi, np.pi), rng.uniform(0.2, 0.8), rng.uniform(2.0, 5.0)
+    behind = np.abs((a - center + np.pi) % (2 * np.pi) - np.pi) < half
     depth = np.where(behind & (depth > range_m), range_m, depth)
     sweep = Sweep((rays * depth[:, None]).astype(np.float32), model=TOY, sensor_height_m=1.5, attitude=np.eye(4)[0])
     return own_victim(sweep, BevGrid(20, 8.0))
@@ -122,7 +122,7 @@ def toy_victim(rng: np.random.Generator) -> Victim:
 def beams_within(
     threat: Threat, victim: Victim, rng: np.random.Generator, weight: NDArray[np.float64] | None
 ) -> NDArray[np.intp]:
-    """Return beams that a threat lets the attacker change: by chance, or those of the largest weight."""
+    """Return beams that a threat allows to change: random ones, or those of the largest weight."""
     rings, columns = victim.given.model.rings, victim.given.model.azimuth_columns
     amount = int(threat.amount)
     if threat.kind == "added":
@@ -134,7 +134,7 @@ def beams_within(
         start = int(np.convolve(np.tile(by_column, 2), np.ones(wide), "valid")[:columns].argmax())
         return (np.arange(rings)[:, None] * columns + (start + np.arange(wide)) % columns).ravel()
     if threat.kind == "window":
-        # This many in either half of the turn, and between them a gap that no window spans.
+        # ``amount`` beams in either half of the revolution, separated by gaps larger than the window.
         stretch = columns // 2
         picked = [
             first + np.argsort(part)[-amount:]
@@ -148,18 +148,18 @@ def beams_within(
 
 
 def weights_of(clean: Envelope, threat: Threat) -> NDArray[np.float64]:
-    """Return for each beam (rings, columns) how much it helps to open: the gradient of the bound."""
-    most = _DEEPEST if threat.kind == "wedge" else max(int(threat.amount), 1)
+    """Return the weight of each beam (rings, columns) for opening cells: the gradient of the bound."""
+    max_lacking = _DEEPEST if threat.kind == "wedge" else max(int(threat.amount), 1)
     return _core.cells_of_beams(
-        clean.sent, clean.nearest_m, clean.margins, ~clean.open(), clean.target.min_returns, most, True
+        clean.sent, clean.nearest_m, clean.margins, ~clean.open(), clean.target.min_returns, max_lacking, True
     )
 
 
 def try_attacks(victim: Victim, words: str, how: str, count: int, rng: np.random.Generator, tally: Tally) -> None:
-    """Try attacks of one kind on a victim and add to the tally what came of them.
+    """Try ``count`` attacks of one kind on a victim, and add the results to the tally.
 
-    ``random`` draws beams, ranges and points; ``gradient`` takes the beams that open the most by the weights of the
-    bound, in two halves, the second after the first; ``evolution`` changes a few beams of the best attack so far.
+    ``random`` draws beams, ranges and points; ``gradient`` takes the beams of the largest (from the second attack on,
+    randomly scaled) weights of the bound; ``evolution`` also changes a few beams of the best attack so far.
     """
     threat, clean = Threat.parse(words), victim.envelope
     among = ~clean.reference(threat)
@@ -171,8 +171,8 @@ def try_attacks(victim: Victim, words: str, how: str, count: int, rng: np.random
         chosen = None if weight is None else weight * rng.uniform(0.3, 1.0, weight.shape) ** (0 if number == 0 else 1)
         beams = beams_within(threat, victim, rng, chosen)
         if how == "evolution" and best is not None and threat.kind in ("replaced", "dropped"):
-            fresh = rng.choice(victim.given.model.rings * victim.given.model.azimuth_columns, max(len(best) // 8, 1))
-            beams = np.unique(np.concatenate([rng.permutation(best)[: len(best) - len(fresh)], fresh]))
+            new = rng.choice(victim.given.model.rings * victim.given.model.azimuth_columns, max(len(best) // 8, 1))
+            beams = np.unique(np.concatenate([rng.permutation(best)[: len(best) - len(new)], new]))
         far = np.full(len(beams), np.inf, np.float32)
         if threat.kind != "dropped":
             near = rng.random(len(beams)) < (0.3 if how == "random" else 0.0)
@@ -204,18 +204,18 @@ def _certifies_wrongly(after: Envelope, clean: Envelope, threat: Threat) -> bool
 def _claims_wrongly(
     victim: Victim, beams: NDArray[np.intp], far: F32, added: Any, threat: Threat, opened_m2: float
 ) -> bool:
-    """Return whether the certificate of an attacked sweep, made from its points, is broken."""
+    """Return whether the certificate of an attacked sweep, computed from its points, is violated."""
     grid = victim.envelope.grid
     leveled = level(victim.attacked(beams, far, added.astype(np.float32)), grid)
-    everything = FovEstimate(grid, np.ones(grid.shape, np.float32), np.full(grid.shape, CellState.FREE, np.uint8))
-    certificate = certify(leveled, everything, threat, victim.given)
+    all_free = FovEstimate(grid, np.ones(grid.shape, np.float32), np.full(grid.shape, CellState.FREE, np.uint8))
+    certificate = certify(leveled, all_free, threat, victim.given)
     clean = victim.envelope.reference(threat)
     opened = float((certificate.claim & ~clean).sum()) * grid.cell_area_m2
     return bool((certificate.certified_visible & ~clean).any()) or opened > certificate.over_claim_m2
 
 
 def try_all(victim: Victim, beams_at_once: int, limit: int, tally: Tally) -> None:
-    """Drop every set of this many beams of a toy sensor, up to a limit."""
+    """Drop every set of ``beams_at_once`` beams of a toy sensor, up to ``limit`` sets."""
     threat, clean = Threat("dropped", beams_at_once), victim.envelope
     among = ~clean.reference(threat)
     bound_m2, best_m2 = clean.changeable(threat, among, opens=True)[0], 0.0

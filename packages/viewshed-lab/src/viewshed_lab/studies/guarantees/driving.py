@@ -1,9 +1,9 @@
-"""A closed loop: a car that only drives as fast as it can stop before whatever may step out of what it does not see.
+"""Closed-loop driving: a car that drives only as fast as it can stop for anyone who steps out of unseen cells.
 
-A straight street meets another one; at the right stands a van, and from behind it someone walks into the lane, stays
-there for STAYS_S, and walks on. They set out so that they and the car would meet if it passes the van at PAST_MPS.
-Every .2 s the car measures a sweep, which an attacker may change, and a :class:`viewshed.pipeline.Pipeline` answers it:
-the speed follows from what that leaves FREE.
+At a junction a van stands on the right; from behind it a pedestrian walks into the lane, stays there for STAYS_S, and
+walks on. The start is timed so that pedestrian and car meet if the car passes the van at PAST_MPS. Every .2 s the car
+measures a sweep, which an attacker may change, and a :class:`viewshed.pipeline.Pipeline` processes it: the speed
+follows from the cells that are FREE.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ CAR = Vehicle(front_m=2.7, half_width_m=1.0, delay_s=0.4, braking_mps2=6.0)
 CRUISE_MPS, SPEED_UP_MPS2 = 11.0, 2.0
 
 WALK_MPS = 1.5
-"""How fast the car expects someone to step out."""
+"""Walking speed of pedestrians that the car assumes."""
 
 STAYS_S, PAST_MPS = 4.0, 4.0
 
@@ -58,10 +58,10 @@ ATTACKED_S = (1.0, 15.0)
 SPEED_THREATS = ("added", "window:5", "window:20", "replaced:50", "replaced:150", "wedge:1", "wedge:10", "wedge:30")
 
 WEATHER = Conditions(extinction_per_m=0.0034, wet=0.3, noise=1.3)
-"""Heavy rain without its drops near the sensor: to this car each would be a place where someone may stand."""
+"""Heavy rain without drops near the sensor: to this car each drop would be a cell where someone may stand."""
 
 PASSES, FITTED = 5, 24
-"""Passes of the published network, and benign sweeps that its detector is fitted on, and calibrated on."""
+"""Passes of the published network; number of benign sweeps for fitting its detector, and for calibrating it."""
 
 ATTACKS: dict[str, Callable[[float], Attack]] = {
     "vanished": lambda azimuth: VanishedObject(azimuth=azimuth, near_m=40.0),
@@ -70,8 +70,8 @@ ATTACKS: dict[str, Callable[[float], Attack]] = {
     "removal": lambda azimuth: PhysicalRemoval(azimuth=azimuth, spoofer=CLEAN_SPOOFER),
     "ghost wall": lambda _: GhostWall(azimuth=0.0, range_m=4.0, spoofer=CLEAN_SPOOFER),
 }
-"""By name, aimed at an azimuth: where the one who is hidden walks, but for the ghost, which stands ahead. The attacker
-wins every beam. Of whom a far wall hides, the returns below .3 m stay; who vanishes leaves none."""
+"""By name, attacks aimed at the azimuth of the hidden pedestrian; the ghost wall stands ahead instead. The attacker
+wins every beam. A far wall keeps the pedestrian's returns below .3 m; a vanished pedestrian has none."""
 
 CASES = ("none", "weather", *ATTACKS)
 
@@ -80,15 +80,15 @@ ONLY = "certified only"
 MONITORS = ("no monitor", "published detector", "ours", "ours + certificate", ONLY)
 
 CERTIFIED = {"ours + certificate": Threat("wedge", 30), ONLY: Threat("replaced", 150)}
-"""Against what is certified: all attacks own a wedge of 30°, or less; who counts on certified cells alone would never
-drive then, and withstands 150 beams instead."""
+"""Certified threats: all attacks are within a wedge of 30°. A car that uses certified cells alone would never drive
+then; it certifies against 150 replaced beams instead."""
 
 
 def speed_in_view(estimate: FovEstimate) -> float:
-    """Return the highest speed in m/s, of steps of .5, at which nobody who is not seen can get in the way.
+    """Return the highest speed in m/s, in steps of .5, at which no unseen pedestrian can get in the way.
 
-    The car drives along x of ``level``. To stop takes delay + v / braking; whoever stands in a cell that is not FREE
-    may walk sideways for so long.
+    The car drives along x of ``level`` and stops in delay + v / braking; a pedestrian in any cell that is not FREE may
+    walk sideways during that time.
     """
     x_m, y_m = np.moveaxis(estimate.grid.centers, -1, 0)
     ahead = (estimate.state != CellState.FREE) & (x_m > CAR.front_m) & (x_m < 40.0) & (np.abs(y_m) < 8.0)
@@ -102,14 +102,14 @@ def speed_in_view(estimate: FovEstimate) -> float:
 
 @dataclass(slots=True)
 class Junction:
-    """A street along x with a van at its right, and who walks out from behind it."""
+    """A street along x with a van on its right, and a pedestrian who walks out from behind it."""
 
-    number: int  # of the run; everything random follows from it
-    weather: Conditions  # what air and ground do to a measurement
-    lane_m: float = -1.75  # y of the middle of the car's lane
-    start_m: tuple[float, float] = (0.0, 0.0)  # (x, y) where someone waits behind the van
-    walk_mps: float = 1.5  # how fast they walk
-    early_s: float = 0.0  # how much earlier than to meet the car they set out
+    number: int  # of the run; seeds all random draws
+    weather: Conditions
+    lane_m: float = -1.75  # y of the center of the car's lane
+    start_m: tuple[float, float] = (0.0, 0.0)  # (x, y) where the pedestrian waits behind the van
+    walk_mps: float = 1.5  # walking speed
+    early_s: float = 0.0  # how much earlier the pedestrian starts than to meet the car
     terrain: Terrain = field(init=False)
     still: list[Thing] = field(init=False)
     car: tuple[Thing, float] = field(init=False)
@@ -127,13 +127,13 @@ class Junction:
         self.walk_mps, self.early_s = rng.uniform(1.2, 1.6), rng.uniform(-0.3, 0.3)
 
     def sweep(self, step: int, x_m: float, speed_mps: float, walker_y_m: float, *, walks: bool) -> Sweep:
-        """Return what the car measures with its middle at x."""
+        """Return the sweep that the car measures with its center at ``x_m``."""
         t_s = (step + 0.5) * STEP_S
-        about = np.array([t_s - 0.5, t_s + 0.5])
+        times_s = np.array([t_s - 0.5, t_s + 0.5])
 
         def along(x: float, y: float, vx: float, vy: float, yaw: float) -> Track:
             shift = np.array([[-0.5], [0.5]]) * (vx, vy)
-            return Track(about, np.array([x, y]) + shift, np.full(2, yaw))
+            return Track(times_s, np.array([x, y]) + shift, np.full(2, yaw))
 
         thing, ahead_m = self.car
         car = drive(thing, along(x_m, self.lane_m, speed_mps, 0.0, 0.0))
@@ -148,12 +148,12 @@ class Junction:
 
 @dataclass(frozen=True, slots=True)
 class Drive:
-    """How a drive went."""
+    """Result of a drive."""
 
-    collided: bool  # whether the car hit the one who walked out
-    time_s: float  # until it had passed, LAST_S if it never did
-    needless_s: float  # how long it stood though nobody was in the way
-    alarm_s: float  # how long the view was not fully trusted
+    collided: bool  # whether the car hit the pedestrian
+    time_s: float  # time until it passed, LAST_S if it never did
+    needless_s: float  # time that it stood with nobody in the way
+    alarm_s: float  # time that the view was not fully trusted
 
 
 def drive_through(
@@ -164,8 +164,7 @@ def drive_through(
 ) -> Drive:
     """Drive through a junction in a case of ``CASES`` with one of ``MONITORS``.
 
-    ``on_step`` is called with the time, the speed, where the one who walks is (x ahead, y left), and what the car
-    believes.
+    ``on_step`` is called with the time, the speed, the place of the pedestrian (x ahead, y left), and the estimate.
     """
     place = _junction(number, case)
     answers: SimpleQueue[Answer] = SimpleQueue()
@@ -177,30 +176,30 @@ def drive_through(
     needless_s = alarm_s = stayed_s = 0.0
     with pipeline:
         for step in range(round(LAST_S / STEP_S)):
-            # 1. Whoever waits sets out such that both would be in the lane at the same time, at a speed past the van.
+            # 1. The pedestrian starts so that both would meet in the lane if the car passed the van at PAST_MPS.
             to_go_m = place.start_m[0] - x_m - CAR.front_m
             in_lane_s = (place.lane_m - place.start_m[1]) / place.walk_mps
             walks = walks or to_go_m < PAST_MPS * (in_lane_s + place.early_s)
-            # 2. The car looks, and an attacker changes what it sees.
+            # 2. The car measures a sweep, which an attacker may change.
             pipeline.put(_sweep(number, case, step, x_m, speed_mps, walker_m, walks))
             answer = answers.get()
-            wanted_mps = 0.0 if answer.estimate is None else speed_in_view(answer.estimate)
+            target_mps = 0.0 if answer.estimate is None else speed_in_view(answer.estimate)
             if answer.estimate is not None:
                 walker_xy = place.start_m[0] - x_m, walker_m - place.lane_m
                 on_step(step * STEP_S, speed_mps, walker_xy, answer.estimate)
-            # 3. It brakes or speeds up, and both move on.
+            # 3. It brakes or accelerates, and both move.
             near = walks and abs(walker_m - place.lane_m) < 4.0 and x_m < place.start_m[0]
             needless_s += STEP_S * (speed_mps < 0.3 and not near)
             alarm_s += STEP_S * (answer.reaction.caution >= 2)
-            change = np.clip(wanted_mps - speed_mps, -CAR.braking_mps2 * STEP_S, SPEED_UP_MPS2 * STEP_S)
+            change = np.clip(target_mps - speed_mps, -CAR.braking_mps2 * STEP_S, SPEED_UP_MPS2 * STEP_S)
             for _ in range(4):
                 speed_mps = max(speed_mps + change / 4, 0.0)
                 x_m += speed_mps * STEP_S / 4
                 stays = walker_m >= place.lane_m and stayed_s < STAYS_S
                 stayed_s += STEP_S / 4 if stays else 0.0
                 walker_m += place.walk_mps * STEP_S / 4 if walks and not stays else 0.0
-                met = abs(x_m - place.start_m[0]) < 2.6 and abs(walker_m - place.lane_m) < 1.1
-                if met and speed_mps > 0.5:
+                touches = abs(x_m - place.start_m[0]) < 2.6 and abs(walker_m - place.lane_m) < 1.1
+                if touches and speed_mps > 0.5:
                     return Drive(True, LAST_S, needless_s, alarm_s)
             if x_m > place.start_m[0] + 5.0:
                 return Drive(False, (step + 1) * STEP_S, needless_s, alarm_s)
@@ -208,10 +207,10 @@ def drive_through(
 
 
 def drives_left(number: int, case: str, done: Mapping[str, Drive]) -> Iterator[tuple[str, Drive]]:
-    """Yield how each monitor drives through a junction of which that is not known.
+    """Yield the missing drives of each monitor through a junction.
 
-    Below WIDEN caution takes nothing back: a drive of ours without an alarm is, step by step, that of no monitor and
-    that of ours + certificate, which are not driven again then.
+    Below WIDEN, caution withdraws nothing: if ours drives without an alarm, no monitor and ours + certificate drive
+    identically, and are not simulated again.
     """
     if len(done) == len(MONITORS):
         return
@@ -229,7 +228,7 @@ def _junction(number: int, case: str) -> Junction:
 
 @lru_cache(maxsize=round(LAST_S / STEP_S))
 def _sweep(number: int, case: str, step: int, x_m: float, speed_mps: float, walker_m: float, walks: bool) -> Sweep:
-    """Return what the car measures in a step, attacked or not; kept for the other monitors, which begin alike."""
+    """Return the sweep of a step, attacked or not; cached for the other monitors, whose drives begin alike."""
     place = _junction(number, case)
     sweep = place.sweep(step, x_m, speed_mps, walker_m, walks=walks)
     if case not in ATTACKS or not ATTACKED_S[0] <= step * STEP_S < ATTACKED_S[1]:
@@ -239,7 +238,7 @@ def _sweep(number: int, case: str, step: int, x_m: float, speed_mps: float, walk
 
 
 def certified_speeds(number: int) -> dict[str, float]:
-    """Return the speed in m/s 20 m before a junction without attack: by the claim, and by what of it is certified."""
+    """Return speeds in m/s 20 m before a junction without attack: by the whole claim, and by its certified parts."""
     place = Junction(number, Conditions())
     leveled = level(place.sweep(0, -20.0, CRUISE_MPS, place.start_m[1], walks=False), GRIDS["road"])
     estimate = load_estimator(grid=GRIDS["road"], target=TARGETS["pedestrian"]).estimate(leveled)
@@ -248,7 +247,7 @@ def certified_speeds(number: int) -> dict[str, float]:
 
 
 def filled_share(number: int) -> float:
-    """Return the share of the beams sent through a pedestrian's box that who walks at a junction returns."""
+    """Return the share of the beams through a pedestrian's box that a pedestrian at a junction returns."""
     place, ahead_m = Junction(number, Conditions()), 10.0  # from the car's middle, in its lane
     leveled = level(place.sweep(0, place.start_m[0] - ahead_m, 0.0, place.lane_m, walks=True), GRIDS["road"])
     envelope = Envelope.of(leveled, Given.of(leveled), GRIDS["road"], TARGETS["pedestrian"])
@@ -259,17 +258,17 @@ def filled_share(number: int) -> float:
 
 
 class PublishedDetector:
-    """The published detector by the deviation of dropout, as what watches a stream."""
+    """The published detector (deviation of dropout) with the interface of a stream monitor."""
 
     def __init__(self, fitted: DeviationMonitor, estimator: Estimator) -> None:
         self._fitted, self._estimator = fitted, estimator
 
     def fresh(self) -> PublishedDetector:
-        """Return itself: it remembers nothing."""
+        """Return itself: it has no state."""
         return self
 
     def check(self, leveled: LeveledSweep) -> StreamReport:
-        """Return what it says of a sweep."""
+        """Return the report on a sweep."""
         report = self._fitted.check(self._estimator.estimate(leveled))
         return StreamReport(report, report.inconsistent, suspect=report.suspect)
 

@@ -1,4 +1,4 @@
-"""The jobs of the study, one line of JSON each; those that are in the folder already are not done again."""
+"""The jobs of the study of guarantees; each result is one line of JSON, and finished jobs are skipped."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ Line = dict[str, Any]
 
 @dataclass(frozen=True, slots=True)
 class Sizes:
-    """How much is done: scenes of each part, attacks of each kind on a scene, drives of each case and monitor."""
+    """Size of a study: scenes of each part, attacks of each kind per scene, drives of each case and monitor."""
 
     certificates: int
     broken: int
@@ -73,7 +73,7 @@ SIZES = {
 
 
 def run_study(folder: Path, sizes: Sizes, on_line: Callable[[str], None]) -> None:
-    """Do what is not done yet."""
+    """Run the unfinished jobs."""
     folder.mkdir(parents=True, exist_ok=True)
     for number in _left(folder, "certificates", sizes.certificates, on_line):
         _add(folder, "certificates", number, certificates_of(own_scene("certificates", number)))
@@ -91,13 +91,13 @@ def run_study(folder: Path, sizes: Sizes, on_line: Callable[[str], None]) -> Non
         _add(folder, "development", number, {"car": _packed(counts), "default": default, "sensor": sensor})
     calibrations = {target: calibration_of(folder, target) for target in TARGETS}
     for number in _left(folder, "report", sizes.report, on_line):
-        scene, found = own_scene("report", number), {}
+        scene, by_target = own_scene("report", number), {}
         for target, calibration in calibrations.items():
             estimate, _ = counts_of(scene, target, number)
-            found[target] = guaranteed_of(
+            by_target[target] = guaranteed_of(
                 scene, target, estimate, calibration.guaranteed(estimate, scene.leveled.ground, ALPHA, DELTA)
             )
-        _add(folder, "report", number, found)
+        _add(folder, "report", number, by_target)
     for number in _left(folder, "costs", 1, on_line):
         _add(folder, "costs", number, costs_of(calibrations["car"]))
     for number in _left(folder, "attacked", sizes.attacked, on_line):
@@ -116,31 +116,31 @@ def run_study(folder: Path, sizes: Sizes, on_line: Callable[[str], None]) -> Non
 
 
 def judge(folder: Path, part: str, of: Callable[[dict[str, tuple[Calibration, float]]], list[Line]]) -> None:
-    """Write the lines of a part anew: what the masks of a folder are worth on data that is not simulated."""
+    """Rewrite the lines of a part: the masks calibrated in a folder, evaluated on data that is not simulated."""
     own = calibration_of(folder, "car")
     masks = {"guaranteed, calibration of the own scenes": (own, 0.9)}
     others = [_unpacked(line["car"]) for line in lines_of(folder, "development")]
     if len(others) >= MIN_SCENES:
         masks["guaranteed, retested on development, confidence .5"] = (own.retested(others, "development"), 0.5)
     (folder / f"{part}.jsonl").unlink(missing_ok=True)
-    for number, found in enumerate(of(masks)):
-        _add(folder, part, number, found)
+    for number, line in enumerate(of(masks)):
+        _add(folder, part, number, line)
 
 
 def lines_of(folder: Path, part: str) -> list[Line]:
-    """Return what is done of a part, in order."""
+    """Return the finished lines of a part, in order of their numbers."""
     file = folder / f"{part}.jsonl"
     if not file.exists():
         return []
     lines = list[Line]()
     for line in file.read_text(encoding="utf-8").splitlines():
-        with suppress(json.JSONDecodeError):  # one that a full disk cut short is made again
+        with suppress(json.JSONDecodeError):  # a truncated line (full disk) is computed again
             lines.append(json.loads(line))
     return sorted(lines, key=lambda line: int(line["number"]))
 
 
 def drives_of(lines: list[Line], number: int, case: str) -> dict[str, Drive]:
-    """Return the drives through a junction among those that are done, by monitor."""
+    """Return the finished drives through a junction in a case, by monitor."""
     names = [one.name for one in fields(Drive)]
     return {
         line["monitor"]: Drive(**{name: line[name] for name in names})
@@ -150,7 +150,7 @@ def drives_of(lines: list[Line], number: int, case: str) -> dict[str, Drive]:
 
 
 def calibration_of(folder: Path, target: str) -> Calibration:
-    """Return the calibration of the own scenes in a folder, in an order drawn by chance."""
+    """Return the calibration of the own scenes in a folder, in random order."""
     scenes = [_unpacked(line[target]) for line in lines_of(folder, "calibration")]
     order = np.random.Generator(np.random.PCG64(36)).permutation(len(scenes))
     return Calibration.fit([scenes[k] for k in order], SENSOR, target, DEFAULT_ESTIMATOR)
@@ -163,12 +163,12 @@ def ship(folder: Path, file: Path) -> None:
 
 
 def retested_shares(folder: Path) -> list[Line]:
-    """Return false share and recall of development scenes, ten at a time by a calibration retested on the others."""
+    """Return false share and recall of development scenes, in folds of ten by a calibration retested on the others."""
     lines = lines_of(folder, "development")
     if not lines:
         return []
     scenes, own = [_unpacked(line["car"]) for line in lines], calibration_of(folder, "car")
-    order, found = np.random.Generator(np.random.PCG64(36)).permutation(len(lines)), []
+    order, results = np.random.Generator(np.random.PCG64(36)).permutation(len(lines)), []
     for fold in np.array_split(order, max(len(lines) // 10, 2)):
         others = [scenes[k] for k in order if k not in fold]
         retested = own.retested(others, "development") if len(others) >= 50 else own
@@ -177,7 +177,7 @@ def retested_shares(folder: Path) -> list[Line]:
             "retested": retested.step(ALPHA, DELTA),
             "expected": retested.step(ALPHA, DELTA, 0.5),
         }
-        found += [
+        results += [
             {
                 **lines[k]["default"],
                 "sensor": lines[k]["sensor"],
@@ -185,11 +185,11 @@ def retested_shares(folder: Path) -> list[Line]:
             }
             for k in fold
         ]
-    return found
+    return results
 
 
 def _share_of(scene: SceneCounts, path: Calibration, step: int) -> tuple[float, float]:
-    """Return the false share of a step's claim and the part it keeps of what the default rightly claims."""
+    """Return the false share of a step's claim, and the kept share of the default's right claims."""
     if step < 0:
         return 0.0, 0.0
     at = path.stds[step], np.arange(path.levels.shape[1]), path.levels[step]
@@ -198,8 +198,8 @@ def _share_of(scene: SceneCounts, path: Calibration, step: int) -> tuple[float, 
 
 
 def attack_scene(number: int, sizes: Sizes) -> Line:
-    """Return the tally of the attacks on a scene, an own one or a toy, by threat and kind."""
-    rng, found = np.random.Generator(np.random.PCG64(number)), {}
+    """Return the tallies of the attacks on an own scene or a toy, by threat and kind."""
+    rng, tallies = np.random.Generator(np.random.PCG64(number)), {}
     is_toy = number >= sizes.attacks
     victim = attacks.toy_victim(rng) if is_toy else attacks.own_victim(
         own_scene("attacks", number).leveled.sweep, GRID if number % 4 == 0 else attacks.NEAR_GRID
@@ -208,12 +208,12 @@ def attack_scene(number: int, sizes: Sizes) -> Line:
         for how in attacks.HOW:
             tally = attacks.Tally()
             attacks.try_attacks(victim, words, how, sizes.each, rng, tally)
-            found[f"{words} | {how}"] = asdict(tally)
+            tallies[f"{words} | {how}"] = asdict(tally)
     if is_toy:
         tally = attacks.Tally()
         attacks.try_all(victim, 1 + number % 3, 3 * sizes.each, tally)
-        found["dropped:1-3 | exhaustive"] = asdict(tally)
-    return {"toy": is_toy, "tallies": found}
+        tallies["dropped:1-3 | exhaustive"] = asdict(tally)
+    return {"toy": is_toy, "tallies": tallies}
 
 
 def _left(folder: Path, part: str, count: int, on_line: Callable[[str], None]) -> Iterator[int]:

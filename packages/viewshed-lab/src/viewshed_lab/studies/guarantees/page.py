@@ -1,4 +1,4 @@
-"""The page of the study: certificates, attacks on them, masks with a promised error, assumptions broken one by one."""
+"""The page of the study of guarantees: certificates, attacks on them, guaranteed masks, broken assumptions, driving."""
 
 from __future__ import annotations
 
@@ -37,12 +37,12 @@ from viewshed_lab.studies.pages import Picture, Table, fill_template
 
 
 def files_of(folder: Path) -> dict[str, bytes]:
-    """Return the page ``guarantees.md``, the last, and its picture, as files by name."""
+    """Return the files by name: pictures, then the page ``guarantees.md``."""
     lines = {part: lines_of(folder, part) for part in _PARTS}
     if not any(lines.values()):
         raise ValueError(f"{folder} must hold results, got none; run without --no-run")
     retested = retested_shares(folder)
-    made: dict[str, tuple[list[Line], Callable[[list[Line]], Table | Picture | None]]] = {
+    parts: dict[str, tuple[list[Line], Callable[[list[Line]], Table | Picture | None]]] = {
         "certificates": (lines["certificates"], _certificates), "final": (lines["certificates"], _final),
         "picture": (lines["attacks"], lambda _: _picture()), "attacks": (lines["attacks"], _attacks),
         "worst": (lines["attacks"], _worst), "worst_picture": (lines["attacks"], _worst_picture),
@@ -57,7 +57,7 @@ def files_of(folder: Path) -> dict[str, bytes]:
         "guarantees/page.md", counts={part: len(of) for part, of in lines.items()}, alpha=ALPHA, delta=DELTA,
         aims=_aims(retested, lines), filled=_filled(lines["speeds"]), certified=CERTIFIED,
         drives=_drives(lines["driving"]), last_s=f"{LAST_S:g}", stays_s=f"{STAYS_S:g}",
-        **{name: make(of) if of else None for name, (of, make) in made.items()},
+        **{name: make(of) if of else None for name, (of, make) in parts.items()},
     )  # fmt: skip
     seeds = ", ".join(f"{name} {seed}" for name, seed in SEEDS.items())
     about = facts(
@@ -70,7 +70,7 @@ _STATES = ListedColormap(["#b9b4c7", "#dcefff", "#4f6d8f", "#6d6875"])
 """Colors of UNKNOWN, FREE, SURFACE and HIDDEN."""
 
 AIMED = ("far wall", "removal", "ghost wall", "weather")
-"""The cases of the aim, which was set before any drive; those who vanish came later."""
+"""Cases of the target, which was set before any drive; the vanishing pedestrian was added later."""
 
 _PARTS = ("certificates", "broken", "adapted", "calibration", "report", "attacked", "costs", "attacks", "survey",
           "driving", "speeds", "crossview")  # fmt: skip
@@ -86,7 +86,7 @@ def _precision_recall(areas: Any) -> str:
 
 
 def _worst_precision(lines: list[Line], key: str) -> float:
-    """Return the precision of right cells without attack and the false ones that an attack can leave or open."""
+    """Return the precision of the right cells without attack and all false cells that an attack can leave or open."""
     right, false = _sum(lines, key, "envelope")[0], _sum(lines, key, "reference")[1]
     return float(right / (right + false + sum(line[key]["gain_m2"] for line in lines)))
 
@@ -97,26 +97,27 @@ def _f1(areas: Any) -> float:
 
 
 Aim = tuple[str, str, str, bool | None]
-"""What was aimed at, what was wanted, what was measured, and whether that meets it; None where nothing shows it."""
+"""Description, target, measured figure, and whether it meets the target; None if the data cannot show it."""
 
 
 def _aims(retested: list[Line], lines: dict[str, list[Line]]) -> Table | None:
-    """Return the aims of the study."""
+    """Return the table of the targets of the study."""
     rows: list[Aim] = []
     if of := lines["certificates"]:
         not_given = "height and attitude, slope 0.01"
         areas = {words: _sum(of, f"{not_given} | {words}", "certified envelope") for words in ("added", "replaced:5")}
-        found = {words: (r / max(r + f, 1e-9), r / max(v, 1e-9)) for words, (r, f, v) in areas.items()}
-        for words, least in (("added", (0.90, 0.90)), ("replaced:5", (0.95, 0.55))):
+        rates = {words: (r / max(r + f, 1e-9), r / max(v, 1e-9)) for words, (r, f, v) in areas.items()}
+        for words, minima in (("added", (0.90, 0.90)), ("replaced:5", (0.95, 0.55))):
             rows.append((
                 f"certified against `{words}`, ground not given: precision / recall",
-                f"≥ {format_rates(*least)}", format_rates(*found[words]), bool(np.all(np.array(found[words]) >= least)),
+                f"≥ {format_rates(*minima)}", format_rates(*rates[words]),
+                bool(np.all(np.array(rates[words]) >= minima)),
             ))  # fmt: skip
-        for words, wanted in (("replaced:150", 0.75), ("wedge:10", 0.80)):
+        for words, target in (("replaced:150", 0.75), ("wedge:10", 0.80)):
             worst = _worst_precision(of, f"{not_given} | {words}")
             rows.append((
-                f"precision under the worst attack, `{words}`", f"≥ {format_rate(wanted)}", format_rate(worst),
-                worst >= wanted,
+                f"precision under the worst attack, `{words}`", f"≥ {format_rate(target)}", format_rate(worst),
+                worst >= target,
             ))  # fmt: skip
         default = _f1(np.sum([line["default"] for line in of], axis=0))
         lost = default - _f1(_sum(of, f"{not_given} | added", "final"))
@@ -132,7 +133,7 @@ def _aims(retested: list[Line], lines: dict[str, list[Line]]) -> Table | None:
         tallies = [tally for line in of for tally in line["tallies"].values()]
         tried, broken = (sum(tally[name] for tally in tallies) for name in ("tried", "violations"))
         rows.append(("attacks that break a certificate", "0 of 100000", f"{broken} of {tried}", not broken))
-        pairs = [np.array(found) for found in _bounds(of).values()]
+        pairs = [np.array(by_scene) for by_scene in _bounds(of).values()]
         ratios = [float(np.mean(p[p[:, 0] > 0, 1] / p[p[:, 0] > 0, 0])) for p in pairs if (p[:, 0] > 0).any()]
         rows.append((
             "bound / worst attack found, by threat", "≤ 3", f"{min(ratios, default=np.nan):.1f} to"
@@ -174,10 +175,10 @@ def _aims(retested: list[Line], lines: dict[str, list[Line]]) -> Table | None:
 
 
 def _aims_of_costs(lines: list[Line]) -> list[Aim]:
-    """Return the rows of what a sweep costs at the fastest: the slowest certificate and the guaranteed mask."""
+    """Return the rows of the fastest times per sweep: of the slowest certificate and of the guaranteed mask."""
     if not lines:
         return []
-    costs = {name: [found[0] for found in of.values()] for name, of in lines[0].items() if name != "number"}
+    costs = {name: [times[0] for times in of.values()] for name, of in lines[0].items() if name != "number"}
     masks, slowest = costs.pop("guaranteed mask"), np.max(list(costs.values()), axis=0)
     return [
         ("slowest certificate, HDL-32E / HDL-64E", "≤ 5 / ≤ 8 ms", f"{slowest[0]:.1f} / {slowest[1]:.1f} ms",
@@ -187,7 +188,7 @@ def _aims_of_costs(lines: list[Line]) -> list[Aim]:
 
 
 def _costs(lines: list[Line]) -> Table:
-    """Return what a sweep costs in milliseconds."""
+    """Return the table of times per sweep in milliseconds."""
     costs = {name: of for name, of in lines[0].items() if name != "number"}
     heads = [f"{sensor}, {points:,} points, ms" for sensor, (_, _, points) in costs["added"].items()]
     rows = [
@@ -198,7 +199,7 @@ def _costs(lines: list[Line]) -> Table:
 
 
 def _aims_of_driving(lines: list[Line]) -> list[Aim]:
-    """Return the rows of the closed loop: collisions beside no monitor at the same junctions, and travel time."""
+    """Return the rows of the closed loop: collisions compared with no monitor at the same junctions, travel times."""
     rows: list[Aim] = []
     known = {(line["case"], line["monitor"], line["number"]): line for line in lines}
     for monitor in MONITORS[1:]:
@@ -223,7 +224,7 @@ def _aims_of_driving(lines: list[Line]) -> list[Aim]:
 
 
 def _longer(lines: list[Line], case: str, monitor: str) -> list[float]:
-    """Return how many times as long a drive took as without monitor and attack, where both passed."""
+    """Return the ratios of travel times to those without monitor and attack, where both passed."""
     alone_s = {x["number"]: x["time_s"] for x in lines if (x["case"], x["monitor"]) == ("none", MONITORS[0])}
     both_s = [
         (x["time_s"], alone_s.get(x["number"], LAST_S)) for x in lines if (x["case"], x["monitor"]) == (case, monitor)
@@ -232,7 +233,7 @@ def _longer(lines: list[Line], case: str, monitor: str) -> list[float]:
 
 
 def _certificates(lines: list[Line]) -> Table:
-    """Return what the envelope is worth by the ground that is given and the threat."""
+    """Return the table of the envelope's figures, by given ground and threat."""
     rows = []
     for key in (key for key in lines[0] if " | " in key):
         ground, words = key.split(" | ")
@@ -248,7 +249,7 @@ def _certificates(lines: list[Line]) -> Table:
 
 
 def _final(lines: list[Line]) -> Table:
-    """Return what is left of the default's claims inside the envelope."""
+    """Return the table of the default's claims inside the envelope, by given ground and threat."""
     default = np.sum([line["default"] for line in lines], axis=0)
     rows = [["default alone", "", _precision_recall(default), format_rate(_f1(default)), "", ""]]
     for key in (key for key in lines[0] if " | " in key):
@@ -267,56 +268,56 @@ def _final(lines: list[Line]) -> Table:
 
 
 def _attacks(lines: list[Line]) -> Table | None:
-    """Return how many attacks of each threat and kind were tried, and how many broke a certificate."""
+    """Return the table of the number of attacks by threat and kind, and of those that broke a certificate."""
     tallies = pd.DataFrame([
         {"threat": key.partition(" ")[0].partition(":")[0], "how": key.split(" | ")[1], **tally}
         for line in lines for key, tally in line["tallies"].items()
     ])  # fmt: skip
     kinds, rows = (*attacks.HOW, "exhaustive"), []
-    for name, some in [*tallies.groupby("threat", sort=False), ("all", tallies)]:
-        counts = some.groupby("how")["tried"].sum().reindex(kinds, fill_value=0)
+    for name, group in [*tallies.groupby("threat", sort=False), ("all", tallies)]:
+        counts = group.groupby("how")["tried"].sum().reindex(kinds, fill_value=0)
         rows.append(
-            [name if name == "all" else f"`{name}`", *map(str, [*counts, counts.sum(), some["violations"].sum()])]
+            [name if name == "all" else f"`{name}`", *map(str, [*counts, counts.sum(), group["violations"].sum()])]
         )
     return Table(["threat", *kinds, "attacks", "violations"], rows)
 
 
 def _bounds(lines: list[Line]) -> dict[str, list[tuple[float, float]]]:
-    """Return by threat, for each own scene, the worst attack that was found and the bound, in m²."""
-    found: dict[str, list[tuple[float, float]]] = defaultdict(list)
+    """Return by threat, for each own scene, the worst attack and the bound in m²."""
+    pairs: dict[str, list[tuple[float, float]]] = defaultdict(list)
     for line in (line for line in lines if not line["toy"]):
         tallies = pd.DataFrame(list(line["tallies"].values()), index=[key.split(" | ")[0] for key in line["tallies"]])
         for words, few in tallies.groupby(level=0, sort=False):
-            found[words].append((few["best_m2"].max(), few["bound_m2"].iloc[0]))
-    return found
+            pairs[words].append((few["best_m2"].max(), few["bound_m2"].iloc[0]))
+    return pairs
 
 
 def _worst(lines: list[Line]) -> Table | None:
-    """Return the bound against the worst attack that was found, by threat, over the own scenes."""
+    """Return the table of the bound and the worst attack by threat, over the own scenes."""
     rows = []
     for words, pairs in _bounds(lines).items():
         best, bound = np.array(pairs).T
-        acted = best > 0
-        ratio = float(np.mean(bound[acted] / best[acted])) if acted.any() else float("nan")
+        opened = best > 0
+        ratio = float(np.mean(bound[opened] / best[opened])) if opened.any() else float("nan")
         rows.append([f"`{words}`", f"{best.mean():.1f}", f"{bound.mean():.1f}", format_number(ratio, 1)])
     header = ["threat", "worst attack found, m²", "bound, m²", "bound / worst, mean over scenes"]
     return Table(header, rows) if rows else None
 
 
 def _worst_picture(lines: list[Line]) -> Picture | None:
-    """Return bound and worst attack found by the number of replaced beams, each scene and their mean."""
-    found = {
+    """Return the picture of bound and worst attack over the number of replaced beams, per scene and mean."""
+    by_beams = {
         int(words[9:]): np.array(pairs) for words, pairs in _bounds(lines).items() if words.startswith("replaced:")
     }
-    if not found:
+    if not by_beams:
         return None
     figure = Figure((5.6, 3.2), dpi=90, layout="constrained")
     axis = figure.subplots()
-    beams = sorted(found)
+    beams = sorted(by_beams)
     for column, (name, color) in enumerate((("worst attack found", "#c05a2b"), ("bound", "#2b5aa0"))):
-        for number in range(len(found[beams[0]])):
-            axis.plot(beams, [found[k][number, column] for k in beams], color=color, alpha=0.15, linewidth=1)
-        axis.plot(beams, [found[k][:, column].mean() for k in beams], "o-", color=color, label=name)
+        for number in range(len(by_beams[beams[0]])):
+            axis.plot(beams, [by_beams[k][number, column] for k in beams], color=color, alpha=0.15, linewidth=1)
+        axis.plot(beams, [by_beams[k][:, column].mean() for k in beams], "o-", color=color, label=name)
     axis.set(xscale="log", yscale="log", xlabel="replaced beams", ylabel="opened, m²", xticks=beams, xticklabels=beams)
     axis.minorticks_off()
     axis.legend(frameon=False)
@@ -324,7 +325,7 @@ def _worst_picture(lines: list[Line]) -> Picture | None:
 
 
 def _adapted(lines: list[Line]) -> Table:
-    """Return what an attacker with 150 returns on beams opens who asks the victim."""
+    """Return the table of the area opened by adaptive attacks with 150 returns on beams, by victim."""
     names = {"default": "default", "final": "default ∩ envelope"}
     names |= {words: f"its certified part, `{words}`" for words in WITHSTOOD}
     rows = [
@@ -340,7 +341,7 @@ def _adapted(lines: list[Line]) -> Table:
 
 
 def _broken(lines: list[Line]) -> Table:
-    """Return what is certified against added points where an assumption does not hold."""
+    """Return the table of figures certified against added points, by broken assumption."""
     rows = []
     for name in (name for name in lines[0] if name != "number"):
         right, false, visible, inside, outside = np.sum([line[name] for line in lines], axis=0)
@@ -349,19 +350,19 @@ def _broken(lines: list[Line]) -> Table:
 
 
 def _masks(folder: Path, lines: list[Line]) -> Table:
-    """Return how often the guaranteed mask breaks its promise on own scenes that no calibration saw."""
+    """Return the table of how often the guaranteed mask breaks its guarantee on own scenes outside the calibration."""
     rows = []
     for target in TARGETS:
         calibration = calibration_of(folder, target)
-        found = [line[target] for line in lines]
-        broken, default = ([one[key] > ALPHA for one in found] for key in ("false_share", "default_false_share"))
+        scenes = [line[target] for line in lines]
+        broken, default = ([one[key] > ALPHA for one in scenes] for key in ("false_share", "default_false_share"))
         thresholds = ", ".join(
             format_rate(float(t)) for t in THRESHOLDS[calibration.levels[calibration.step(ALPHA, DELTA)]]
         )
         rows.append([
             target, thresholds, format_share(broken),
-            *(format_rate(float(np.mean(some)))
-              for some in (default, [one["recall"] for one in found], [one["of_default"] for one in found])),
+            *(format_rate(float(np.mean(values)))
+              for values in (default, [one["recall"] for one in scenes], [one["of_default"] for one in scenes])),
         ])  # fmt: skip
     header = ["target", "thresholds by range band", "scenes with a false share above α", "the default alone",
               "recall of the truth", "kept of what the default rightly claims"]  # fmt: skip
@@ -369,7 +370,7 @@ def _masks(folder: Path, lines: list[Line]) -> Table:
 
 
 def _attacked(lines: list[Line]) -> Table:
-    """Return what is false of a guaranteed mask, a car, and of the default's claim, by the attack on the sweep."""
+    """Return the table of false shares of the guaranteed mask (car) and of the default's claim, by attack."""
     rows = []
     for attack in (name for name in lines[0] if name != "number"):
         row = [attack]
@@ -384,7 +385,7 @@ def _attacked(lines: list[Line]) -> Table:
 
 
 def _places(folder: Path) -> Table:
-    """Return the lower bounds of visibility by bin of probability and band, for a car."""
+    """Return the table of lower bounds of visibility by bin of probability and range band, for a car."""
     seen = calibration_of(folder, "car").seen
     heads = [f"p ≥ {format_rate(float(edge))}" for edge in PLACE_EDGES]
     rows = [
@@ -394,8 +395,8 @@ def _places(folder: Path) -> Table:
     return Table(["range", *heads], rows)
 
 
-def _development(found: list[Line]) -> Table:
-    """Return the same for worlds that it was not made for: by the own calibration, and retested on 50 other scenes."""
+def _development(lines: list[Line]) -> Table:
+    """Return the table of broken guarantees on other worlds: own calibration, and retested on 50 other scenes."""
     rows = []
     masks = {
         "own": "calibration of the own scenes",
@@ -403,15 +404,15 @@ def _development(found: list[Line]) -> Table:
         "expected": "retested on 50 of these scenes, confidence .5",
     }
     for name, words in masks.items():
-        shares, kept = np.array([one[name] for one in found]).T
+        shares, kept = np.array([line[name] for line in lines]).T
         rows.append([words, format_share(shares > ALPHA), format_rate(float(kept.mean()))])
-    default = [one["default_false_share"] > ALPHA for one in found]
+    default = [line["default_false_share"] > ALPHA for line in lines]
     rows.append(["the default alone", format_share(default), format_rate(1.0)])
     return Table(["mask", "scenes with a false share above α", "kept of what the default rightly claims"], rows)
 
 
 def _survey(lines: list[Line]) -> Table:
-    """Return the shares of the claimed cells whose ground lies elsewhere than the surveyed one, or behind a box."""
+    """Return the table of the shares of claimed cells that are off the surveyed ground, or behind a box."""
     rows = []
     for name in (name for name in lines[0] if name != "number"):
         surveyed, off, behind = np.sum([line[name] for line in lines], axis=0)
@@ -422,7 +423,7 @@ def _survey(lines: list[Line]) -> Table:
 
 
 def _crossview(lines: list[Line]) -> Table:
-    """Return over-claim and under-claim on real posed sequences, by sensor and mask."""
+    """Return the table of over-claim and under-claim on real posed sequences, by sensor and mask."""
     rows = []
     for line in lines:
         rates = [line[name] for name in ("over", "under")]
@@ -432,7 +433,7 @@ def _crossview(lines: list[Line]) -> Table:
 
 
 def _driving(lines: list[Line]) -> Table:
-    """Return collisions, needless stops and travel times of the closed loop, by case and monitor."""
+    """Return the table of collisions, needless stops and travel times of the closed loop, by case and monitor."""
     rows = []
     for case in CASES:
         for monitor in MONITORS:
@@ -455,19 +456,19 @@ def _driving(lines: list[Line]) -> Table:
 
 
 def _drives(lines: list[Line]) -> str:
-    """Return how many drives a pair has, and what that many can tell of collisions."""
+    """Return a sentence on the number of drives per pair, and on the collision rates that they can rule out."""
     if not lines:
         return "no drives"
     counts = Counter((line["case"], line["monitor"]) for line in lines).values()
-    least, most = (f"{share_interval(0, count)[1]:.0%}".replace("%", " %") for count in (max(counts), min(counts)))
+    low, high = (f"{share_interval(0, count)[1]:.0%}".replace("%", " %") for count in (max(counts), min(counts)))
     return (
         f"{min(counts)} to {max(counts)} drives a pair: where none hit, that shows no more than collisions below"
-        f" {least} (most drives) or {most} (fewest)"
+        f" {low} (most drives) or {high} (fewest)"
     )
 
 
 def _speeds(lines: list[Line]) -> Table:
-    """Return how fast the car may drive if only what is certified counts, by threat."""
+    """Return the table of the car's speed if only certified cells count, by threat."""
     rows = []
     for words in (name for name in lines[0] if name not in ("number", "filled")):
         speeds = np.array([line[words] for line in lines])
@@ -476,14 +477,14 @@ def _speeds(lines: list[Line]) -> Table:
 
 
 def _filled(lines: list[Line]) -> str:
-    """Return the share of a pedestrian's beams that who walks returns: mean, least and most."""
+    """Return the share of the beams through a pedestrian's box that a pedestrian returns: mean (min to max)."""
     shares = np.array([line["filled"] for line in lines] or [np.nan])
-    mean, least, most = (format_rate(float(of(shares))) for of in (np.mean, np.min, np.max))
-    return f"{mean} ({least} to {most})"
+    mean, low, high = (format_rate(float(of(shares))) for of in (np.mean, np.min, np.max))
+    return f"{mean} ({low} to {high})"
 
 
 def _strip(lines: list[Line]) -> Picture:
-    """Return what the car believes at some times of a drive, a row for each monitor that was tried."""
+    """Return the picture of the car's estimate at some times of a drive, one row per monitor."""
     times = (2.0, 5.0, 7.0, 9.0, 11.0)
     monitors = [name for name in MONITORS if any(line["monitor"] == name for line in lines)]
     figure = Figure((12.5, 1.3 * len(monitors)), dpi=80, layout="constrained")
@@ -491,9 +492,9 @@ def _strip(lines: list[Line]) -> Picture:
     for monitor, row in zip(monitors, axes, strict=True):
         frames: list[tuple[float, float, tuple[float, float], FovEstimate]] = []
         drive = drive_through(0, "vanished", monitor, lambda *frame, to=frames: to.append(frame))
-        for axis, wanted_s in zip(row, times, strict=True):
+        for axis, target_s in zip(row, times, strict=True):
             axis.set(xticks=[], yticks=[])
-            time_s, speed_mps, walker, estimate = min(frames, key=lambda frame: abs(frame[0] - wanted_s))
+            time_s, speed_mps, walker, estimate = min(frames, key=lambda frame: abs(frame[0] - target_s))
             half_m = estimate.grid.half_extent_m
             axis.imshow(
                 estimate.state.T, cmap=_STATES, vmin=0, vmax=3, extent=(-half_m, half_m, -half_m, half_m),
@@ -508,7 +509,7 @@ def _strip(lines: list[Line]) -> Picture:
 
 
 def _picture() -> Picture:
-    """Return the envelope of one scene without an attack and under one, what is certified, and what was opened."""
+    """Return the picture of one scene's envelope without and under attack, certified cells and opened cells."""
     scene, threat = own_scene("attacks", 1), Threat("replaced", 150)
     victim = attacks.own_victim(scene.leveled.sweep, GRID)
     clean, rng = victim.envelope, np.random.Generator(np.random.PCG64(1))

@@ -1,4 +1,4 @@
-"""The scenes of the study, and what is measured on each without an attack."""
+"""The scenes of the study of guarantees, and the measurements on each."""
 
 from __future__ import annotations
 
@@ -41,14 +41,14 @@ from viewshed_lab.threats.attacks.adaptive import BlackBox, OverClaim
 FRAME = 11
 
 SEEDS = {"calibration": 3601, "report": 3602, "certificates": 3603, "attacks": 3604}
-"""Of the own preset's scenes; no two parts of the study share a scene."""
+"""Seeds of the own scenes; no two parts of the study share a scene."""
 
 GRID = GRIDS["road"]
 
 THREATS = ("added", "replaced:5", "window:5", "window:20", "replaced:150", "wedge:10", "dropped:20")
 
 WITHSTOOD = ("window:5", "window:20", "replaced:150")
-"""Threats whose certified part an attacker who adapts is set on."""
+"""Threats whose certified part is attacked adaptively."""
 
 ON_MASK = {
     "far wall": ATTACKS["far_wall_clean"](), "removal": ATTACKS["removal_aimed"](),
@@ -56,7 +56,7 @@ ON_MASK = {
     "ghost wall": ATTACKS["ghost_wall_clean"](), "150 on beams of a wedge": ATTACKS["wedge_cluster"](150),
     "150 on beams anywhere": ATTACKS["uniform_on_beams"](150),
 }  # fmt: skip
-"""Attacks on a mask of a promised error, none of which looks at it."""
+"""Attacks on a mask of guaranteed error; none of them queries the mask."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,9 +65,9 @@ class Scene:
 
     name: str  # of the scene
     leveled: LeveledSweep  # the sweep
-    visible: dict[str, Mask]  # by target name (cells, cells) exact truth
-    known: Mask  # (cells, cells) where that is known
-    ground: HeightMap  # exact heights of the ground
+    visible: dict[str, Mask]  # by target name, (cells, cells) exact truth
+    known: Mask  # (cells, cells) cells with known truth
+    ground: HeightMap  # exact ground heights
 
 
 def own_scene(part: str, number: int) -> Scene:
@@ -83,7 +83,7 @@ def own_scene(part: str, number: int) -> Scene:
 
 
 def wild_scene(scene: WildScene) -> tuple[Scene, str]:
-    """Return the first sweep of a scene in the wild, which says its rings, and its sensor."""
+    """Return the first sweep of a wild scene, with rings, and the name of its sensor."""
     sample = scene.observe(0).sample("rings")
     truth = {name: sample.truth.visible(name) for name in TARGETS}
     return Scene(sample.scene, level(sample.sweep, GRID), truth, sample.known, sample.exact_ground), sample.sensor
@@ -100,17 +100,17 @@ def default_estimator(target: Target) -> Estimator:
 
 
 def areas(claim: Mask, visible: Mask, known: Mask) -> tuple[float, float, float]:
-    """Return the area in m² that is claimed and visible, claimed and not, and visible, where the truth is known."""
+    """Return areas in m² with known truth: claimed and visible, claimed and not visible, visible."""
     return tuple(
         float((cells & known).sum()) * GRID.cell_area_m2 for cells in (claim & visible, claim & ~visible, visible)
     )  # type: ignore[return-value]
 
 
 def certificates_of(scene: Scene) -> dict[str, Any]:
-    """Return for each threat and for each ground that is given what the envelope and the final claim are worth."""
+    """Return areas of the envelope and of the final claim, by given ground and threat."""
     target, visible, leveled = TARGETS["car"], scene.visible["car"], scene.leveled
     estimate = default_estimator(target).estimate(leveled)
-    found: dict[str, Any] = {"name": scene.name, "default": areas(estimate.visible(), visible, scene.known)}
+    result: dict[str, Any] = {"name": scene.name, "default": areas(estimate.visible(), visible, scene.known)}
     grounds = {
         "height and attitude": Given.of(leveled, grade=0.0),
         f"height and attitude, slope {GRADE:g}": Given.of(leveled),
@@ -121,10 +121,10 @@ def certificates_of(scene: Scene) -> dict[str, Any]:
         for words in THREATS:
             threat = Threat.parse(words)
             certificate = certify(leveled, estimate, threat, given)
-            # What is certified by the envelope alone, whatever an estimator claims.
+            # Cells certified by the envelope alone, regardless of the estimator's claim.
             gain_m2, _ = envelope.changeable(threat, ~envelope.reference(threat), opens=True)
             _, spent = envelope.changeable(threat, envelope.claim, opens=False)
-            found[f"{name} | {words}"] = {
+            result[f"{name} | {words}"] = {
                 "envelope": areas(envelope.claim, visible, scene.known),
                 "reference": areas(envelope.reference(threat), visible, scene.known),
                 "certified envelope": areas(envelope.claim & ~spent, visible, scene.known),
@@ -132,12 +132,12 @@ def certificates_of(scene: Scene) -> dict[str, Any]:
                 "certified": areas(certificate.certified_visible, visible, scene.known),
                 "gain_m2": gain_m2, "over_claim_m2": certificate.over_claim_m2,
             }  # fmt: skip
-    return found
+    return result
 
 
 def costs_of(calibration: Calibration) -> dict[str, Any]:
-    """Return milliseconds (fastest, median) of each certificate and of a guaranteed mask, by sensor, at a junction."""
-    found: dict[str, Any] = {}
+    """Return milliseconds (fastest, median) of each certificate and of a guaranteed mask at a junction, by sensor."""
+    costs: dict[str, Any] = {}
     for sensor in ("HDL-32E", "HDL-64E"):
         leveled = level(cast(lidar_model(sensor), junction(), 1.8, rng=np.random.default_rng(36)), GRID)
         estimate = default_estimator(TARGETS["car"]).estimate(leveled)
@@ -156,8 +156,8 @@ def costs_of(calibration: Calibration) -> dict[str, Any]:
                 start_s = perf_counter()
                 job()
                 times_ms.append(1000 * (perf_counter() - start_s))
-            found.setdefault(name, {})[sensor] = [min(times_ms), float(np.median(times_ms)), len(leveled.sweep)]
-    return found
+            costs.setdefault(name, {})[sensor] = [min(times_ms), float(np.median(times_ms)), len(leveled.sweep)]
+    return costs
 
 
 def _certify_next(leveled: LeveledSweep, estimate: FovEstimate, given: Iterator[Given]) -> Certificate:
@@ -172,7 +172,7 @@ def counts_of(scene: Scene, target: str, number: int) -> tuple[FovEstimate, Scen
 
 
 def guaranteed_of(scene: Scene, target: str, estimate: FovEstimate, claim: Mask) -> dict[str, Any]:
-    """Return the false share of a guaranteed mask, its recall, and what it keeps of the default's right claims."""
+    """Return the false share of a guaranteed mask, its recall, and the kept share of the default's right claims."""
     right, false, total = areas(claim, scene.visible[target], scene.known)
     default = areas(estimate.visible(), scene.visible[target], scene.known)
     return {
@@ -182,9 +182,9 @@ def guaranteed_of(scene: Scene, target: str, estimate: FovEstimate, claim: Mask)
 
 
 def certified(estimator: Estimator, threat: Threat, *, only_certified: bool = False) -> Changed:
-    """Return an estimator inside the envelope, or its certified cells alone: what an attacker who adapts is up against.
+    """Return an estimator limited to the envelope, or to its certified cells, as a victim of adaptive attacks.
 
-    What the sweep does not say is trusted.
+    Data that the sweep lacks and that are inferred are trusted.
     """
 
     def kept(leveled: LeveledSweep, estimate: FovEstimate) -> Mask:
@@ -195,14 +195,14 @@ def certified(estimator: Estimator, threat: Threat, *, only_certified: bool = Fa
 
 
 def guaranteed(estimator: Estimator, calibration: Calibration, confidence: float) -> Changed:
-    """Return an estimator's mask of the error that a calibration promises with a confidence."""
+    """Return an estimator limited to the guaranteed mask of a calibration, at a confidence."""
     return _keeping(
         estimator, lambda leveled, estimate: calibration.guaranteed(estimate, leveled.ground, confidence=confidence)
     )
 
 
 def _keeping(estimator: Estimator, kept: Callable[[LeveledSweep, FovEstimate], Mask]) -> Changed:
-    """Return an estimator without those of its claims that are not kept (cells, cells)."""
+    """Return an estimator whose claims are limited to a mask (cells, cells)."""
 
     def answer(_: FovEstimator, sweep: Sweep) -> FovEstimate:
         leveled = level(sweep, estimator.grid)
@@ -215,26 +215,26 @@ def _keeping(estimator: Estimator, kept: Callable[[LeveledSweep, FovEstimate], M
 def crossview_of(index: Path, masks: dict[str, tuple[Calibration, float]]) -> list[dict[str, Any]]:
     """Return over-claim and under-claim of the default and of guaranteed masks on real posed sequences, by sensor.
 
-    ``masks`` are calibrations by name, and the confidence that is asked of them.
+    ``masks`` are calibrations by name, with the requested confidence.
     """
     default = default_estimator(TARGETS["car"])
-    tried: dict[str, FovEstimator] = {"default": default, "default ∩ envelope": certified(default, ADDED)}
-    tried |= {name: guaranteed(default, *mask) for name, mask in masks.items()}
-    found = []
+    estimators: dict[str, FovEstimator] = {"default": default, "default ∩ envelope": certified(default, ADDED)}
+    estimators |= {name: guaranteed(default, *mask) for name, mask in masks.items()}
+    lines = []
     for sensor, scenes in posed_scenes(index).items():
-        for row in evaluate_crossview(scenes, tried, rng=np.random.default_rng(36)):
+        for row in evaluate_crossview(scenes, estimators, rng=np.random.default_rng(36)):
             rates = {name: asdict(getattr(row, name)) for name in ("over", "under")}
-            found.append({"sensor": sensor, "mask": row.method, **rates})
-    return found
+            lines.append({"sensor": sensor, "mask": row.method, **rates})
+    return lines
 
 
 def survey_of(log: Path, masks: dict[str, tuple[Calibration, float]]) -> list[dict[str, Any]]:
-    """Return for each sweep of a surveyed Argoverse 2 log how many claimed cells stand on surveyed ground, and badly.
+    """Return counts of claimed cells for each sweep of a surveyed Argoverse 2 log, by mask.
 
-    Of a mask, cells on surveyed ground; of these, those whose ground lies elsewhere; and those behind a drawn box.
-    ``masks`` are calibrations by name, and the confidence that is asked of them.
+    Counts: cells on surveyed ground; those of them whose ground is off; those of them behind an annotated box.
+    ``masks`` are calibrations by name, with the requested confidence.
     """
-    found = []
+    lines = []
     for _, boxes, leveled, error_m in surveyed(log, open_source(log, "argoverse2"), GRID):
         estimate, ground_m = default_estimator(TARGETS["car"]).estimate(leveled), leveled.ground.at(GRID.centers)
         claims = {"default": estimate.visible()} | {
@@ -243,23 +243,23 @@ def survey_of(log: Path, masks: dict[str, tuple[Calibration, float]]) -> list[di
         }
         known, off = np.isfinite(error_m), np.abs(error_m) > OFF_M
         behind = behind_boxes(leveled, boxes, ground_m, TARGETS["car"])
-        found.append({
+        lines.append({
             name: [int((mask & of).sum()) for of in (known, off, known & behind)] for name, mask in claims.items()
         })  # fmt: skip
-    return found
+    return lines
 
 
 def behind_boxes(leveled: LeveledSweep, boxes: Sequence[ObjectBox], ground_m: F32, target: Target) -> Mask:
-    """Return the cells (cells, cells) in which a target stands wholly behind one box that people drew.
+    """Return the mask (cells, cells) of cells in which a target is entirely behind one annotated box.
 
-    The lines from the sensor to the middle and both ends of the target's top all pass through the box, which stands on
-    the ground, and leave it before they end. Through windows and over a bonnet a sensor may see more.
+    The lines from the sensor to the center and both ends of the target's top all pass through the box, extended down
+    to the ground, and leave it before they end. Through windows and over a hood a sensor may see more.
 
     Args:
         leveled: the sweep, with a pose.
-        boxes: in the world.
-        ground_m: (cells, cells) height of the ground below the target.
-        target: as wide and as high as this.
+        boxes: annotated boxes in the world.
+        ground_m: (cells, cells) ground height below the target.
+        target: target with width and height.
     """
     azimuth = polar_of_cells(GRID)[1]
     aside = np.stack([-np.sin(azimuth), np.cos(azimuth)], axis=-1) * (target.width_m / 2)
@@ -270,37 +270,37 @@ def behind_boxes(leveled: LeveledSweep, boxes: Sequence[ObjectBox], ground_m: F3
     for box in boxes:
         box_from_level = (level_from_world @ box.world_from_box).inverse()
         sensor, half = box_from_level @ leveled.level_from_sensor.translation, np.array(box.size_m) / 2
-        way, low = box_from_level @ tops - sensor, np.array([-half[0], -half[1], -np.inf])
+        line, low = box_from_level @ tops - sensor, np.array([-half[0], -half[1], -np.inf])
         with np.errstate(divide="ignore", invalid="ignore"):
-            one, other = (low - sensor) / way, (half - sensor) / way
-        enters, leaves = np.minimum(one, other).max(axis=-1), np.maximum(one, other).min(axis=-1)
+            first, second = (low - sensor) / line, (half - sensor) / line
+        enters, leaves = np.minimum(first, second).max(axis=-1), np.maximum(first, second).min(axis=-1)
         behind |= ((enters > 0.0) & (enters < leaves) & (leaves < 1.0)).all(axis=0)
     return behind
 
 
 def attacked_of(scene: Scene, number: int, calibration: Calibration, queries: int) -> dict[str, Any]:
-    """Return right, false and visible m² of the default's claim and of its guaranteed mask, by the attack on a sweep.
+    """Return right, false and visible m² of the default's claim and of its guaranteed mask, by attack on a sweep.
 
-    The last attack is found by asking the mask.
+    The last attack queries the mask.
     """
     sweep, default = scene.leveled.sweep, default_estimator(TARGETS["car"])
-    asked = OverClaim(guaranteed(default, calibration, 0.9))
-    tried: dict[str, Attack | None] = {"none": None, **ON_MASK}
-    tried["150 on beams, by asking the mask"] = BlackBox(asked, 150, queries, placement="largest_hidden_area")
-    found = {}
-    for name, attack in tried.items():
+    objective = OverClaim(guaranteed(default, calibration, 0.9))
+    attacks: dict[str, Attack | None] = {"none": None, **ON_MASK}
+    attacks["150 on beams, by asking the mask"] = BlackBox(objective, 150, queries, placement="largest_hidden_area")
+    result = {}
+    for name, attack in attacks.items():
         rng = np.random.Generator(np.random.PCG64(number))
         leveled = level(sweep if attack is None else attack.apply(sweep, rng).sweep, GRID)
         estimate = default.estimate(leveled)
         claims = {"default": estimate.visible(), "guaranteed": calibration.guaranteed(estimate, leveled.ground)}
-        found[name] = {of: areas(claim, scene.visible["car"], scene.known) for of, claim in claims.items()}
-    return found
+        result[name] = {of: areas(claim, scene.visible["car"], scene.known) for of, claim in claims.items()}
+    return result
 
 
 def adapted_of(scene: Scene, number: int, queries: int) -> dict[str, Any]:
-    """Return what 150 returns on beams open in m², found by asking the victim: the default, and its final claim."""
+    """Return the area in m² that an adaptive attack with 150 returns on beams opens, by victim."""
     sweep, visible = scene.leveled.sweep, scene.visible["car"]
-    found: dict[str, Any] = {}
+    result: dict[str, Any] = {}
     estimator = default_estimator(TARGETS["car"])
     threat = Threat("replaced", 150)
     victims: dict[str, FovEstimator] = {
@@ -313,17 +313,17 @@ def adapted_of(scene: Scene, number: int, queries: int) -> dict[str, Any]:
         tampered = search.apply(sweep, np.random.Generator(np.random.PCG64(number)))
         before, after = victim.estimate(sweep).visible(), victim.estimate(tampered.sweep).visible()
         opened, known = after & ~before, scene.known
-        found[name] = [float(cells.sum()) * GRID.cell_area_m2 for cells in (opened & known, opened & known & ~visible)]
+        result[name] = [float(cells.sum()) * GRID.cell_area_m2 for cells in (opened & known, opened & known & ~visible)]
         if name == "final":
             leveled = level(tampered.sweep, GRID)
-            found["bound"] = certify(leveled, estimator.estimate(leveled), threat, trust_inferred=True).over_claim_m2
+            result["bound"] = certify(leveled, estimator.estimate(leveled), threat, trust_inferred=True).over_claim_m2
             clean = Envelope.of(scene.leveled, Given.of(scene.leveled), GRID, TARGETS["car"]).reference(threat)
-            found["beyond the clean envelope"] = float((after & ~clean).sum()) * GRID.cell_area_m2
-    return found
+            result["beyond the clean envelope"] = float((after & ~clean).sum()) * GRID.cell_area_m2
+    return result
 
 
 def broken_of(scene: Scene) -> dict[str, Any]:
-    """Return what is certified against added points where an assumption is broken: right, false, visible in m²."""
+    """Return areas in m² certified against added points, by broken assumption: right, false, visible."""
     leveled, target = scene.leveled, TARGETS["car"]
     given, estimate = Given.of(leveled), default_estimator(target).estimate(leveled)
     model, half = given.model, np.deg2rad(0.5)
@@ -341,10 +341,10 @@ def broken_of(scene: Scene) -> dict[str, Any]:
         ),
         "ground known exactly": replace(given, ground=scene.ground, grade=0.0),
     }
-    found = {}
-    for name, one in cases.items():
-        certificate = certify(leveled, estimate, ADDED, one)
-        envelope = Envelope.of(leveled, one, GRID, target).claim
-        found[name] = [*areas(certificate.certified_visible, scene.visible["car"], scene.known),
-                       *areas(envelope, scene.visible["car"], scene.known)[:2]]  # fmt: skip
-    return found
+    result = {}
+    for name, broken in cases.items():
+        certificate = certify(leveled, estimate, ADDED, broken)
+        envelope = Envelope.of(leveled, broken, GRID, target).claim
+        result[name] = [*areas(certificate.certified_visible, scene.visible["car"], scene.known),
+                        *areas(envelope, scene.visible["car"], scene.known)[:2]]  # fmt: skip
+    return result

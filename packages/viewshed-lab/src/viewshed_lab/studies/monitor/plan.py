@@ -1,4 +1,4 @@
-"""Which streams the study of alarms simulates: styles to calibrate on, others to report on."""
+"""Plan of the study of alarms: streams for calibration, and streams of other styles for the report."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from viewshed_lab.sim.worlds import WORLDS
 from viewshed_lab.studies.plan import JobKey, Plan, check_names, check_seed
 
 PARTS = ("calibration", "report", "benign")
-"""Streams to calibrate on; to report on, with attacks; in the same places as these without, for rates of false alarms.
+"""Streams for calibration; for the report, with attacks; without attacks at the same places as these, for false alarms.
 
-No style, sensor family or mounting is in the first and the others; ``vlp16`` is."""
+The first shares no style, sensor family or mounting with the others, except ``vlp16``."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -35,16 +35,16 @@ class MonitorPlan(Plan):
     calibration_mountings: tuple[str, ...]
     report_mountings: tuple[str, ...]
     conditions: tuple[str, ...]  # weather and faults, in turn
-    # calibration_streams, report_streams, benign_streams: streams of each style
+    # calibration_streams, report_streams, benign_streams: number of streams per style
     calibration_streams: int
     report_streams: int
     benign_streams: int
-    seconds: float  # of a stream
-    hz: float  # sweeps a second
+    seconds: float  # duration of a stream
+    hz: float  # sweeps per second
     pose_noise_every: int  # N: every Nth stream has noisy poses
-    attacks: tuple[str, ...]  # that branch off the streams, in turn
-    attack_every_s: float  # two attacks begin so often
-    seed: int  # of all that is random
+    attacks: tuple[str, ...]  # attacks that branch off the streams, in turn
+    attack_every_s: float  # interval at which two attacks begin
+    seed: int  # of all random draws
 
     def __post_init__(self) -> None:
         for part in ("calibration", "report"):
@@ -70,11 +70,11 @@ class MonitorPlan(Plan):
         return names
 
     def job_keys(self) -> list[JobKey]:
-        """Return part, style and number of each stream: some of each style first."""
-        every = [
+        """Return part, style and number of each stream, ordered by number, so that all styles have some early."""
+        keys = [
             (number, part, style)
             for part in PARTS
             for style in self.styles(part)
             for number in range(getattr(self, f"{part}_streams"))
         ]
-        return [(part, style, str(number)) for number, part, style in sorted(every, key=lambda key: key[0])]
+        return [(part, style, str(number)) for number, part, style in sorted(keys, key=lambda key: key[0])]

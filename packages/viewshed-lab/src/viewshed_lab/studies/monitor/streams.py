@@ -1,4 +1,4 @@
-"""Streams of one simulated sensor, and what all evidence says of each sweep; attacks branch off at some of them."""
+"""Simulated streams of one sensor with the evidence of each sweep; attacks branch off at some sweeps."""
 
 from __future__ import annotations
 
@@ -37,32 +37,32 @@ from viewshed_lab.threats.attacks import ATTACKS, Attack, Knowledge
 from viewshed_lab.threats.corruptions import CORRUPTIONS
 
 ATTACKED_SWEEPS = 5
-"""Sweeps of an attack: half a second."""
+"""Number of sweeps of an attack: half a second."""
 
 SEVEREST = 5
-"""Of the severities of a corruption."""
+"""Highest severity of a corruption."""
 
 REPLAYED_SWEEPS = 20
-"""A replay shows what was 2 s ago."""
+"""Age of the sweeps of a replay: 2 s."""
 
 INDOOR = ("rooms", "corridors", "hall", "warehouse", "loft", "tunnel")
 
 ONSETS = ("fog", "crosstalk")
-"""Conditions that begin within one sweep: weather, and another sensor that comes near."""
+"""Conditions that begin within one sweep: weather, and interference by another sensor."""
 
 POSE_NOISE = (0.1, np.deg2rad(0.2))
-"""Standard deviations of noisy poses: of each axis in meters, and of the yaw."""
+"""Standard deviations of noisy poses: position per axis in meters, and yaw in radians."""
 
 SPEEDS = ((1.0, "less than 1 m/s"), (10.0, "1 to 10 m/s"))
-"""Classes of speed by their upper ends."""
+"""Classes of speed, with their upper ends in m/s."""
 
 UPRIGHT = 0.3
-"""Share of that in height."""
+"""Factor on the noise of poses along z."""
 
 
 @dataclass(frozen=True, slots=True)
 class Stream:
-    """A minute of one sensor in one world, without an attack."""
+    """A stream of one sensor in one world, without an attack."""
 
     plan: MonitorPlan
     part: str  # of ``PARTS``
@@ -76,7 +76,7 @@ class Stream:
 
     @property
     def grid(self) -> BevGrid:
-        """The grid on which its ground is estimated."""
+        """Grid of its ground estimate."""
         return GRIDS["indoor" if self.style in INDOOR else "road"]
 
     @property
@@ -91,7 +91,7 @@ class Stream:
 
     @property
     def has_noisy_poses(self) -> bool:
-        """Whether its poses are as noisy as ``POSE_NOISE``."""
+        """Whether its poses have the noise ``POSE_NOISE``."""
         every = self.plan.pose_noise_every
         return (self._offset + self.number) % every == every - 1
 
@@ -104,7 +104,7 @@ class Stream:
         return names[(self._offset + self.number) % len(names)]
 
     def rng(self, *purpose: object) -> np.random.Generator:
-        """Return the generator of what is random for one purpose."""
+        """Return the random generator for one purpose."""
         return np.random.Generator(np.random.PCG64(self.seed(*purpose)))
 
     def seed(self, *purpose: object) -> np.random.SeedSequence:
@@ -113,14 +113,14 @@ class Stream:
         return np.random.SeedSequence([self.plan.seed, *words])
 
     def drawn_sensor(self, sweep: int = 0) -> DrawnSensor:
-        """Return its sensor, as it fires one of its sweeps."""
+        """Return its sensor in the state of one of its sweeps."""
         families = wild_tables().sensors
         if self.sensor not in families:
             return DrawnSensor.of_table(self.sensor)
         return draw_sensor(families[self.sensor], self.rng("sensor"), sweep)
 
     def sweep(self, number: int, conditions: str | None = None) -> Sweep:
-        """Return one of its sweeps, as the sensor hands it out; under other conditions if given."""
+        """Return one of its sweeps as delivered by the sensor, optionally under other conditions."""
         world, agent = _world_of(self)
         sensor = _sensor_of(self)
         setting = Setting(self.grid, CONDITIONS[conditions or self.conditions], 1.0 / self.plan.hz)
@@ -132,7 +132,7 @@ class Stream:
 
 
 def _with_pose_noise(sweep: Sweep, rng: np.random.Generator) -> Sweep:
-    """Return a sweep whose pose, if it has one, is as noisy as ``POSE_NOISE``."""
+    """Return a sweep with the noise ``POSE_NOISE`` on its pose, if it has one."""
     pose = sweep.world_from_sensor
     if pose is None:
         return sweep
@@ -143,7 +143,7 @@ def _with_pose_noise(sweep: Sweep, rng: np.random.Generator) -> Sweep:
 
 @lru_cache(maxsize=1)
 def _world_of(stream: Stream) -> tuple[World, Agent]:
-    """Return the world of a stream with the sensor mounted, and that agent."""
+    """Return the world of a stream with the mounted sensor, and the agent that carries it."""
     mountings = wild_tables().mountings
     name = stream._turn("mountings")
     if stream.style in INDOOR:
@@ -160,20 +160,20 @@ def _sensor_of(stream: Stream) -> DrawnSensor:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StreamEvidence:
-    """All evidence of a stream, and of the attacks that branch off it."""
+    """Evidence of a stream, and of the attacks that branch off it."""
 
     name: str  # of the stream
     style: str  # of its world
     facts: dict[str, str]  # sensor, conditions, poses and speed
-    benign: F32  # (T, E, SECTORS) of each sweep
+    benign: F32  # (T, E, SECTORS) evidence of each sweep
     cases: tuple[tuple[str, int], ...]  # (C,) name of the attack, and its first sweep
-    attacked: F32  # (C, ATTACKED_SWEEPS, E, SECTORS) of the attacked sweeps
-    degraded: Mask  # (T,) bool, sweeps of which the monitor says that the sensor sees worse than it did
-    # whether it says so of a corruption that begins after them and lasts, by its name, where made
+    attacked: F32  # (C, ATTACKED_SWEEPS, E, SECTORS) evidence of the attacked sweeps
+    degraded: Mask  # (T,) bool, sweeps whose sensor the monitor calls degraded
+    # by name of a corruption that begins at the end of the stream and lasts: whether the monitor calls it degraded
     worsened: dict[str, bool]
 
     def save(self, path: Path) -> None:
-        """Write it at once or not at all; numbers in half precision."""
+        """Write the evidence atomically, with numbers in half precision."""
         about = {
             "name": self.name, "style": self.style, "facts": self.facts, "kinds": tuple(EVIDENCE), "cases": self.cases,
             "worsened": self.worsened,
@@ -187,11 +187,11 @@ class StreamEvidence:
 
     @classmethod
     def load(cls, path: Path) -> Self:
-        """Return what is in a file of :meth:`save`."""
+        """Return the evidence in a file of :meth:`save`."""
         with np.load(path, allow_pickle=False) as file:
             about = json.loads(file["about"].tobytes())
             cases = tuple((str(name), int(first)) for name, first in about["cases"])
-            # What is measured no more is left out.
+            # Kinds of evidence that no longer exist are left out.
             rows = [about["kinds"].index(name) for name in EVIDENCE]
             return cls(
                 about["name"], about["style"], about["facts"],
@@ -206,7 +206,7 @@ def _halved(values: F32) -> NDArray[np.float16]:
 
 
 def measure_stream(stream: Stream) -> StreamEvidence:
-    """Return what all evidence says of each sweep of a stream; of one to report on, of each attack on it as well."""
+    """Return the evidence of each sweep of a stream; in the part ``report`` also that of attacks and corruptions."""
     plan, grid = stream.plan, stream.grid
     every = round(plan.attack_every_s * plan.hz)
     sweeps, past, state, degraded = list[Sweep](), EvidenceStream(), SensorState(), list[bool]()
@@ -214,7 +214,7 @@ def measure_stream(stream: Stream) -> StreamEvidence:
     places_m = list[NDArray[np.float64]]()
     for number in range(round(plan.seconds * plan.hz)):
         sweep = stream.sweep(number)
-        # Two attacks branch off here, each of five sweeps; the next sweeps of the stream are made for them.
+        # Two attacks of five sweeps each branch off here; simulate the next sweeps of the stream for them.
         is_branch = stream.part == "report" and number % every == every - 1
         if is_branch and number + ATTACKED_SWEEPS <= round(plan.seconds * plan.hz):
             clean = [sweep, *(stream.sweep(number + k) for k in range(1, ATTACKED_SWEEPS))]
@@ -224,13 +224,13 @@ def measure_stream(stream: Stream) -> StreamEvidence:
                     tampered = list(_tamper(stream, name, number, clean, sweeps))
                 except ValueError:
                     continue
-                branch, found = past.copy(), []
+                branch, evidence = past.copy(), []
                 for one in tampered:
                     leveled = level(one, grid)
-                    found.append(branch.measure(leveled))
+                    evidence.append(branch.measure(leveled))
                     branch.add(leveled)
                 cases.append((name, number))
-                attacked.append(np.stack(found))
+                attacked.append(np.stack(evidence))
         leveled = level(sweep, grid)
         benign.append(past.measure(leveled))
         past.add(leveled)
@@ -248,41 +248,41 @@ def measure_stream(stream: Stream) -> StreamEvidence:
         np.array(attacked, np.float32).reshape(-1, *shape),
         np.array(degraded, np.bool_),
         {
-            name: called
+            name: degrades
             for name in corruptions
-            if (called := _worsens(stream, name, sweeps[-NOW_SWEEPS:], state)) is not None
+            if (degrades := _degrades(stream, name, sweeps[-NOW_SWEEPS:], state)) is not None
         },
     )  # fmt: skip
 
 
 def _speed(places_m: NDArray[np.float64], hz: float) -> str:
-    """Return how fast a sensor went, by its places (T, 3) one second from each other: noise of poses is no motion."""
+    """Return the class of a sensor's speed, from its places (T, 3) at intervals of 1 s, where pose noise is small."""
     each_second = places_m[:: round(hz)]
     speed_mps = float(np.median(np.hypot(*np.diff(each_second[:, :2], axis=0).T))) if len(each_second) > 1 else 0.0
-    return next((words for most, words in SPEEDS if speed_mps < most), "10 m/s or more")
+    return next((words for upper_mps, words in SPEEDS if speed_mps < upper_mps), "10 m/s or more")
 
 
-def _worsens(stream: Stream, name: str, sweeps: Sequence[Sweep], state: SensorState) -> bool | None:
-    """Return whether a corruption of the highest severity makes a sensor degraded that goes on to measure sweeps.
+def _degrades(stream: Stream, name: str, sweeps: Sequence[Sweep], state: SensorState) -> bool | None:
+    """Return whether the monitor calls the sensor degraded at the end of sweeps under a corruption of severity 5.
 
-    None where it cannot be made of them, as beams of a sensor without rings.
+    None if the corruption is impossible on them, such as one of rings on a sensor without rings.
     """
-    state, rng, found = deepcopy(state), stream.rng("corruption", name), False
+    state, rng, degraded = deepcopy(state), stream.rng("corruption", name), False
     for sweep in sweeps:
         try:
             corrupted = CORRUPTIONS[name](SEVEREST).apply(sweep, rng)
         except ValueError:
             return None
         leveled = level(corrupted, stream.grid)
-        found = bool(state.check(leveled, measure_all(MonitoredSweep(leveled))))
-    return found
+        degraded = bool(state.check(leveled, measure_all(MonitoredSweep(leveled))))
+    return degraded
 
 
 def _tamper(stream: Stream, name: str, first: int, clean: Sequence[Sweep], past: Sequence[Sweep]) -> Iterator[Sweep]:
-    """Yield sweeps of a stream as an attack changes them; what is aimed keeps its place before the sensor.
+    """Yield the sweeps of a stream under an attack; an aimed attack keeps its azimuth.
 
     Raises:
-        ValueError: the attack cannot be made of these sweeps.
+        ValueError: the attack is impossible on these sweeps.
     """
     if name in ONSETS:
         yield from (stream.sweep(first + k, name) for k in range(len(clean)))
@@ -325,7 +325,7 @@ def _offset(sweep: Sweep, direction: NDArray[np.float64], _: int, __: np.random.
 
 
 def _stated_noise(sweep: Sweep, _: NDArray[np.float64], __: int, rng: np.random.Generator) -> Sweep:
-    """Make the pose noisy, and state the covariance of that: no attack."""
+    """Add noise to the pose and state its covariance; this is not an attack."""
     shift_m, yaw = POSE_NOISE
     variance = np.array([shift_m, shift_m, UPRIGHT * shift_m, 0.0, 0.0, yaw]) ** 2
     return _with_pose_noise(sweep, rng).replace(pose_covariance=np.diag(variance))
@@ -337,7 +337,7 @@ def _noise(sweep: Sweep, _: NDArray[np.float64], __: int, rng: np.random.Generat
 
 
 def _blinded(sweep: Sweep, _: NDArray[np.float64], __: int, rng: np.random.Generator) -> Sweep:
-    """Put all returns near the sensor."""
+    """Move all returns to the sensor."""
     return sweep.replace(points=rng.normal(0.0, 0.06, sweep.points.shape).astype(np.float32))
 
 
@@ -345,20 +345,20 @@ OWN_ATTACKS: dict[str, Callable[[Sweep, NDArray[np.float64], int, np.random.Gene
     "drift": _drift, "offset": _offset, "noise": _noise, "blinded": _blinded,
     "stated_noise": _stated_noise,
 }  # fmt: skip
-"""Attacks on the whole sweep or on its pose, beside those of ``ATTACKS``."""
+"""Attacks on the whole sweep or on its pose, in addition to those of ``ATTACKS``."""
 
 
 def run_streams(
     plan: MonitorPlan, folder: Path, engine: Engine, on_done: Callable[[str], None] = print
 ) -> Iterator[str]:
-    """Measure all streams of a plan that are not in the folder yet, some of each style first.
+    """Measure all streams of a plan that are not in the folder yet, in the order of the plan.
 
     Yields:
-        A line of each stream that failed.
+        A line for each failed stream.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    every = (Stream(plan, part, style, int(number)) for part, style, number in plan.job_keys())
-    jobs = [(one, path) for one in every if not (path := folder / f"{one.name}.npz").exists()]
+    streams = (Stream(plan, part, style, int(number)) for part, style, number in plan.job_keys())
+    jobs = [(one, path) for one in streams if not (path := folder / f"{one.name}.npz").exists()]
     for done in engine.run(_measure_and_save, jobs):
         name = jobs[done.index][0].name
         if done.error is None:

@@ -1,8 +1,8 @@
-"""Public traces of spoofed drives: which sweeps the shipped monitor calls, end to end.
+"""Runs the shipped monitor end to end on public traces of spoofed drives.
 
-Allenpandas/LiDAR-Spoofing-Forensics-Datasets (Apache-2.0): real sweeps of one car, a file each in ``NAME.tar.xz``.
-Which are spoofed the authors do not publish; the key is inferred from the data, where the spoofed sweeps stand out by
-gaps of 10 to 25 times in single statistics.
+Allenpandas/LiDAR-Spoofing-Forensics-Datasets (Apache-2.0): real sweeps of one car, one file per sweep in
+``NAME.tar.xz``. The authors do not publish which sweeps are spoofed; the key is inferred from the data, where the
+spoofed sweeps stand out by gaps of 10 to 25 times in single statistics.
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ SPOOFED = {"blackout": (130, 208, 544), "noise": (58, 325, 412)}
 
 @dataclass(frozen=True, slots=True)
 class Called:
-    """What the monitor says of one sweep of a trace."""
+    """The monitor's verdict on one sweep of a trace."""
 
     trace: str
     number: int
-    is_spoofed: bool | None  # None where no key says which are
-    p_value: float  # NaN where too few sweeps came before
+    is_spoofed: bool | None  # None without a key
+    p_value: float  # NaN after too few earlier sweeps
     score: float
     inconsistent: bool
     degraded: bool
@@ -42,13 +42,13 @@ class Called:
 
 
 def trace_sweeps(trace: Path) -> Iterator[tuple[int, Sweep]]:
-    """Yield the number and the sweep of each file of a trace, an archive or a folder, in the order of their numbers.
+    """Yield number and sweep of each file of a trace, an archive or a folder, in the order of their numbers.
 
-    Files whose names are no numbers are numbered from 0.
+    Files are numbered from 0 if not all their names are numbers.
 
     Raises:
-        ValueError: it is no archive, or holds no sweep.
-        OSError: it cannot be read.
+        ValueError: the trace is not an archive, or holds no sweep.
+        OSError: a file cannot be read.
     """
     with _unpacked(trace) as folder:
         holders = sorted({file.parent for file in folder.rglob("*.pcd")})
@@ -62,7 +62,7 @@ def trace_sweeps(trace: Path) -> Iterator[tuple[int, Sweep]]:
 
 @contextmanager
 def _unpacked(trace: Path) -> Iterator[Path]:
-    """Hand out the folder of a trace, for an archive one that is removed afterwards."""
+    """Yield the folder of a trace; an archive is extracted to a temporary one."""
     if trace.is_dir():
         yield trace
         return
@@ -78,7 +78,7 @@ def _unpacked(trace: Path) -> Iterator[Path]:
 
 
 def call_trace(trace: Path, monitor: StreamMonitor, key: Collection[int] | None = None) -> list[Called]:
-    """Return what a monitor says of each sweep of a trace; ``key`` numbers the spoofed ones, ``SPOOFED`` without it."""
+    """Return a monitor's verdict on each sweep of a trace; ``key`` has the spoofed numbers, by default ``SPOOFED``."""
     name, watching = trace.name.removesuffix(".tar.xz"), monitor.fresh()
     given, key = key or (), SPOOFED.get(name) if key is None else key
     called, sensor = [], UNIDENTIFIED

@@ -1,4 +1,4 @@
-"""The data of the study: simulated archives, and the held-out sweeps that models are tried on."""
+"""The data of the study: simulated archives, and the held-out sweeps on which models are evaluated."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ SPLITS = ("train", "test")
 
 
 def preset_of(plan: PaperPlan, domain: str, split: str) -> Preset:
-    """Return how the sweeps of a split are simulated: scenes of its own seed, all of one length."""
+    """Return the preset that simulates a split: scenes with the split's seed, all of one length."""
     number = plan.domains.index(domain)
     train = split == "train"
     scenes = (plan.train_scenes if train else plan.test_scenes)[number]
@@ -44,9 +44,9 @@ def archive_path(folder: Path, domain: str, split: str) -> Path:
 def make_archive(
     plan: PaperPlan, folder: Path, part: tuple[str, str], engine: Engine, on_progress: Callable[[int], None]
 ) -> Archive:
-    """Return the archive of a part (domain, split), simulated as far as it is not there.
+    """Return the archive of a part (domain, split); simulate what is missing.
 
-    ``on_progress`` is called with how many more sweeps are done.
+    ``on_progress`` is called with the number of newly finished sweeps.
     """
     store = Storage.of(archive_path(folder, *part))
     return simulate(preset_of(plan, *part), store, engine, lambda shard: on_progress(shard.frames))
@@ -54,14 +54,14 @@ def make_archive(
 
 @lru_cache(maxsize=8)
 def open_archive(folder: Path, domain: str, split: str) -> Archive:
-    """Return an archive that was made."""
+    """Return an existing archive."""
     return Archive.open(archive_path(folder, domain, split))
 
 
 def held_out(plan: PaperPlan, folder: Path, domain: str, number: int) -> StudySample:
-    """Return a held-out sweep with what the same sensor measured before.
+    """Return held-out sweep ``number`` with earlier sweeps of the same sensor.
 
-    Scene after scene and agent after agent at the last time of the scenes, then the same at the time before.
+    Numbers go through the scenes, then through the agents, at the last time of the scenes; then at the time before.
     """
     preset, archive = preset_of(plan, domain, "test"), open_archive(folder, domain, "test")
     scenes, agents = preset.scenes[0], preset.agents
@@ -77,7 +77,7 @@ def held_out(plan: PaperPlan, folder: Path, domain: str, number: int) -> StudySa
 def evaluation_of(
     plan: PaperPlan, folder: Path, setting: ProtocolSetting, suite: EstimatorSuite, number: int
 ) -> Evaluation:
-    """Return one of the held-out sweeps of the setting's domain, who is tried on it, and the setting's truth."""
+    """Return the evaluation of a suite on a held-out sweep of the setting's domain, with the setting's truth."""
     sample = held_out(plan, folder, setting.domain, number)
     rng_of = partial(case_generator, plan.test_seed, setting.domain, number)
     reference = Reference.exact(sample) if setting.protocol == STRICT else Reference.label(sample, setting.grid)

@@ -47,23 +47,23 @@ from viewshed_lab.threats.attacks.base import Tampered
 from viewshed_lab.training.data import Fold
 
 ATTACKED = Case("attack", "adversarial")
-"""What held-out sweeps of the pairs face: in the paper's protocol its mixture, in the strict one attacks in turn."""
+"""The attacked case of the pairs: in the paper's protocol its mixture, in the strict one all attacks in turn."""
 
 TRADE = "trade"
 """Protocol of the rows of the trade study: the paper's, on grids of other resolutions."""
 
 THREADS = (2, 1)
-"""Threads with which the trade study measures latency."""
+"""Numbers of threads for which the trade study measures latency."""
 
 
 def strict_cases(plan: PaperPlan) -> list[Case]:
-    """Return the cases: benign, every attack with its default budget, and where the plan says so its strengths."""
+    """Return the cases: benign, every attack with its default budget, and its strengths if the plan has them."""
     strengths = [case for name in ATTACKS for case in strength_cases(name)] if plan.strengths else []
     return [BENIGN, *(Case("attack", name, DEFAULT) for name in ATTACKS), *strengths]
 
 
 def do_job(job: Job[PaperPlan]) -> JobResult:
-    """Return what a job found."""
+    """Run a job of any step."""
     works = {
         "crossval": _fold, "models": _train, "pairs": _pair, "strict": _strict, "trade": _trade, "monitor": _monitor,
     }  # fmt: skip
@@ -98,7 +98,7 @@ def _pair(job: Job[PaperPlan]) -> JobResult:
 def pair_rows(
     plan: PaperPlan, folder: Path, setting: ProtocolSetting, suite: EstimatorSuite, numbers: Sequence[int]
 ) -> list[Row]:
-    """Return the counts of some held-out sweeps, benign and attacked, and the scores of all of them together."""
+    """Return rows with the counts of some held-out sweeps, benign and attacked, and rows with their pooled scores."""
     counts: list[Row] = []
     scores: list[Row] = []
     for number in numbers:
@@ -109,7 +109,7 @@ def pair_rows(
 
 
 def both_rows(evaluation: Evaluation, attack: Case, seed: int) -> Iterator[Row]:
-    """Yield counts and scores of a sweep as it was measured and as an attack leaves it."""
+    """Yield rows with counts and scores of a sweep, benign and attacked."""
     sweeps = {BENIGN: evaluation.sample.sweep, ATTACKED: tampered_of(evaluation, attack, seed).sweep}
     for case, sweep in sweeps.items():
         for name, estimate in evaluation.suite.estimates(level(sweep, evaluation.suite.grid)).items():
@@ -119,7 +119,7 @@ def both_rows(evaluation: Evaluation, attack: Case, seed: int) -> Iterator[Row]:
 
 
 def tampered_of(evaluation: Evaluation, attack: Case, seed: int) -> Tampered:
-    """Return a held-out sweep of the pairs as its attack leaves it."""
+    """Return a held-out sweep of the pairs after an attack."""
     rng = generator(seed, evaluation.protocol, evaluation.domain, str(evaluation.number))
     return apply(attack, evaluation.sample, rng)
 
@@ -134,7 +134,7 @@ def _strict(job: Job[PaperPlan]) -> JobResult:
 
 
 def strict_estimators(plan: PaperPlan, setting: ProtocolSetting, runners: dict[Model, Runner]) -> dict[str, Estimator]:
-    """Return the estimators that face every attack by name: networks of the domain, then the classical ones."""
+    """Return the estimators of the step ``strict`` by name: networks of the domain, then the classical ones."""
     networks: dict[str, Estimator] = {
         model.short_name: UnetEstimator(runner, passes_of(plan, model), plan.test_seed, model.short_name)
         for model, runner in runners.items()
@@ -148,7 +148,7 @@ def in_domain(domain: str) -> list[Model]:
 
 
 def _trade(job: Job[PaperPlan]) -> JobResult:
-    """Train a network of another width, depth and resolution, and tell its scores, its latency and its size."""
+    """Train a network of another width, depth and resolution; return its scores, latency and size."""
     from viewshed.networks.runtime import OnnxRunner
 
     plan, (width, depth, cells) = job.plan, map(int, job.key[1:])
@@ -172,7 +172,7 @@ def _trade(job: Job[PaperPlan]) -> JobResult:
 
 
 def _latency_ms(network: NetworkAlone, sweep: Sweep, repeats: int) -> float:
-    """Return the median time of one pass through the network in milliseconds, its input made already."""
+    """Return the median time of one pass through the network in milliseconds, without preparing its input."""
     inputs = network.card.input_of(sweep)[None]
     times = []
     for _ in range(repeats + 1):
@@ -183,7 +183,7 @@ def _latency_ms(network: NetworkAlone, sweep: Sweep, repeats: int) -> float:
 
 
 def _monitor(job: Job[PaperPlan]) -> JobResult:
-    """Try the monitor of the deviation: fitted, calibrated and reported on different held-out scenes."""
+    """Fit, calibrate and evaluate the deviation monitor on different held-out scenes."""
     plan = job.plan
     model = Model(STRICT, "mcd", job.key[1], plan.monitor_domain)
     runner = load_runner(weights_of(job.folder, model), job.device)
@@ -199,18 +199,18 @@ def _monitor(job: Job[PaperPlan]) -> JobResult:
     cases = [BENIGN, *(Case("attack", name, DEFAULT) for name in ATTACKS),
              *corruption_cases(plan.monitor_corruptions, (plan.monitor_severity,))]  # fmt: skip
     of: dict[str, Any] = {"domain": plan.monitor_domain, "method": job.key[1], "seed": plan.test_seed}
-    found = [watch(monitor, estimator, sample, cases, number, **of) for number, sample in enumerate(report)]
-    return JobResult([row for rows in found for row in rows], {"limit": monitor.limit})
+    by_sample = [watch(monitor, estimator, sample, cases, number, **of) for number, sample in enumerate(report)]
+    return JobResult([row for rows in by_sample for row in rows], {"limit": monitor.limit})
 
 
 @dataclass(frozen=True, slots=True)
 class Scope:
-    """What of a study is done, and with what."""
+    """Steps and protocols to run, and the hardware."""
 
     steps: tuple[str, ...] = STEPS  # of ``STEPS``
     protocols: tuple[str, ...] = PROTOCOLS  # of ``PROTOCOLS``
     device: str = "cpu"  # ``cpu`` or ``cuda``, for trainings and networks
-    workers: int | None = None  # jobs under way at a time; None is one for each core
+    workers: int | None = None  # number of parallel jobs; None is one per core
 
     def __post_init__(self) -> None:
         for name, given, known in (("only", self.steps, STEPS), ("protocol", self.protocols, PROTOCOLS),
@@ -219,7 +219,7 @@ class Scope:
         LocalEngine(self.workers)
 
     def engine(self, step: str, plan: PaperPlan) -> Engine:
-        """Return what does the jobs of a step; what needs the GPU, processes of its own or all cores is done here."""
+        """Return the engine of a step; jobs that need the GPU, own processes or all cores run in this process."""
         alone = (
             step == "trade"
             or (step in ("crossval", "models") and plan.workers > 0)
@@ -229,7 +229,7 @@ class Scope:
 
 
 def run_study(store: ResultStore[PaperPlan], scope: Scope, on_progress: Progress = lambda *_: None) -> Iterator[str]:
-    """Do what is not done yet, and yield one line for each job that failed or could not be done, as it happens."""
+    """Run the unfinished jobs; yield one line for each job that failed or had to wait, as it happens."""
     if {"crossval", "models", "trade"} & set(scope.steps) or scope.device != "cpu":
         check_training(scope.device)
     if "data" in scope.steps:
@@ -246,14 +246,14 @@ def run_study(store: ResultStore[PaperPlan], scope: Scope, on_progress: Progress
 
 
 def missing_models(plan: PaperPlan, key: JobKey, done: set[JobKey]) -> str:
-    """Return what a job waits for: nothing if all trainings that it needs are done."""
+    """Return which trainings a job waits for, as text; an empty string if all are done."""
     if set(needed(plan, key)) <= done:
         return ""
     return "not all folds are done" if key[0] in ("models", "trade") else "not all of its models are trained"
 
 
 def needed(plan: PaperPlan, key: JobKey) -> list[JobKey]:
-    """Return the names of the trainings that must be finished before a job."""
+    """Return the keys of the trainings that must be finished before a job."""
     step, *names = key
     if step in ("models", "trade"):
         return plan.job_keys_of("crossval")
@@ -281,7 +281,7 @@ def _check_data(store: ResultStore[PaperPlan]) -> None:
 
 
 def make_data(store: ResultStore[PaperPlan], scope: Scope, on_progress: Progress) -> None:
-    """Simulate the sweeps of all domains, as far as they are not there."""
+    """Simulate the missing sweeps of all domains."""
     parts = [(domain, split) for domain in store.plan.domains for split in SPLITS]
     total, done = sum(preset_of(store.plan, *part).sweeps for part in parts), 0
 

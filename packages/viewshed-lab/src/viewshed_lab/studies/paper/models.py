@@ -1,4 +1,4 @@
-"""The trainings of the study, one configuration for each model, and the trained networks as estimators."""
+"""The training configuration of each model of the study, and the trained networks as estimators."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def weights_of(folder: Path, model: Model) -> Path:
 
 
 def load_runner(path: Path, device: str = "cpu") -> Runner:
-    """Return what runs a network: one core, as jobs run beside each other, or a GPU."""
+    """Return the runner of a network: on one core, as several jobs run in parallel, or on a GPU."""
     if device == "cpu":
         from viewshed.networks.runtime import OnnxRunner
 
@@ -51,18 +51,18 @@ def load_runner(path: Path, device: str = "cpu") -> Runner:
 
 
 def passes_of(plan: PaperPlan, model: Model) -> int:
-    """Return how many passes a model's estimate takes: one with dropout off, or several with dropout on."""
+    """Return the number of passes of a model's estimate: one with dropout off, or several with dropout on."""
     return plan.passes if model.variant == "mcd" else 1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NetworkAlone(ClassicalEstimator):
-    """A network as the published study tries it: its probabilities as they are, on the grid of the setting."""
+    """A network as evaluated in the published study: its raw probabilities, on the grid of the setting."""
 
     runner: Runner  # of the network
-    card: NetworkCard  # of the network as it is used here, wherever it was trained
-    passes: int  # 1 with dropout off, or how many with dropout on
-    seed: int  # of the masks, the same for every sweep
+    card: NetworkCard  # of the network in this setting
+    passes: int  # 1 with dropout off, or the number of passes with dropout on
+    seed: int  # of the dropout masks, the same for every sweep
     name: str = "network"
 
     @property
@@ -76,7 +76,7 @@ class NetworkAlone(ClassicalEstimator):
         return TARGETS[self.card.target]
 
     def estimate(self, sweep: Sweep | LeveledSweep, history: EarlierSweeps = None) -> FovEstimate:
-        """Return one pass, or mean and deviation of several, not bounded by the beams; no state is given."""
+        """Return one pass, or mean and deviation of several, not limited to the beams' reach; states are 0."""
         leveled = leveled_on(sweep, self.grid)
         checked_history(self, leveled, history)
         inputs, state = self.card.input_of(leveled.sweep), np.zeros(self.grid.shape, np.uint8)
@@ -89,40 +89,40 @@ class NetworkAlone(ClassicalEstimator):
 def network_of(
     plan: PaperPlan, folder: Path, model: Model, setting: ProtocolSetting, device: str = "cpu"
 ) -> NetworkAlone:
-    """Return a trained network in a setting."""
+    """Return a trained network as an estimator in a setting."""
     runner = load_runner(weights_of(folder, model), device)
     return NetworkAlone(runner, setting.card(runner.card), passes_of(plan, model), plan.test_seed)
 
 
 def config_of(plan: PaperPlan, folder: Path, model: Model) -> TrainConfig:
-    """Return how a model is trained: paper's mixture or the plan's attacks, on the archive of its domain.
+    """Return the training configuration of a model: paper's mixture or the plan's attacks, on its domain's archive.
 
-    Dropout and learning rate are those that cross-validation chose, where the plan has one that is done.
+    Dropout and learning rate are those chosen by cross-validation, if the plan has one and folds are done.
     """
     chosen, config = chosen_of(plan, folder), _planned_config(plan, folder, model)
     return config if chosen is None else chosen.of(config)
 
 
 def chosen_of(plan: PaperPlan, folder: Path) -> Hyperparameters | None:
-    """Return the setting with the highest mean F1 over the folds that are done; None where none is."""
+    """Return the setting with the highest mean F1 over the finished folds; None without any."""
     scored = fold_scores(plan, folder)
     return min(scored, key=lambda one: (-mean_f1(scored[one]), one), default=None)
 
 
 def fold_scores(plan: PaperPlan, folder: Path) -> dict[Hyperparameters, list[FoldScore]]:
-    """Return the scores of the folds that are done in a study's folder, by setting."""
-    found: dict[Hyperparameters, list[FoldScore]] = {}
+    """Return the scores of the finished folds in a study's folder, by setting."""
+    scores: dict[Hyperparameters, list[FoldScore]] = {}
     for key, facts in ResultStore(folder, plan).results("crossval").facts.items():
         setting, best = _setting_of(plan, key), facts["history"][facts["best"] - 1]
         score = FoldScore(
             setting.name, int(key[-1]), best["f1"], best["iou"], best["validation_loss"], best["number"]
         )  # fmt: skip
-        found.setdefault(setting, []).append(score)
-    return found
+        scores.setdefault(setting, []).append(score)
+    return scores
 
 
 def crossval_config(plan: PaperPlan, folder: Path, key: JobKey) -> TrainConfig:
-    """Return how a network of cross-validation is trained: the paper's, with dropout and attacks, on few cells."""
+    """Return the configuration of a cross-validation training: the paper's, with dropout and attacks, on few cells."""
     base = _planned_config(plan, folder, Model(PAPER_PROTOCOL, "mcd", "adversarial", plan.trade_domain))
     setting = _setting_of(plan, key)
     return replace(
@@ -136,7 +136,7 @@ def _setting_of(plan: PaperPlan, key: JobKey) -> Hyperparameters:
 
 
 def _planned_config(plan: PaperPlan, folder: Path, model: Model) -> TrainConfig:
-    """Return how a model is trained with the plan's own dropout and learning rate."""
+    """Return the training configuration of a model with the plan's own dropout and learning rate."""
     setting = setting_of(plan, model.protocol, model.domain)
     attacks: tuple[str, ...] = ()
     share = 0.0
@@ -159,7 +159,7 @@ def _planned_config(plan: PaperPlan, folder: Path, model: Model) -> TrainConfig:
 
 
 def trade_config(plan: PaperPlan, folder: Path, shape: tuple[int, int, int]) -> TrainConfig:
-    """Return how a network of the trade study is trained: benign, one pass, the paper's protocol, fewer epochs."""
+    """Return the configuration of a trade study training: benign, one pass, the paper's protocol, fewer epochs."""
     width, depth, cells = shape
     base = config_of(plan, folder, Model("paper", "mle", "benign", plan.trade_domain))
     name = f"trade-{trade_name(shape)}"
@@ -176,7 +176,7 @@ def trade_name(shape: tuple[int, int, int]) -> str:
 
 
 def train(config: TrainConfig, out: Path, cache: Path, device: str, fold: Fold | None = None) -> dict[str, Any]:
-    """Return the facts of a training, which goes on where it was stopped; all share the labels in ``cache``."""
+    """Run or resume a training and return its facts; all trainings share the labels in ``cache``."""
     from viewshed_lab.training import run
 
     start = time.perf_counter()

@@ -1,4 +1,4 @@
-"""The monitor of the deviation tried on sweeps that are attacked and corrupted, and how well it tells them apart."""
+"""Evaluates the deviation monitor on attacked and corrupted sweeps: scores, alarms and AUROC."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ def watch(
     method: str,
     seed: int,
 ) -> Iterator[Row]:
-    """Yield score, alarm and mean deviation of one sweep in each case, or why the case cannot be made.
+    """Yield score, alarm and mean deviation of one sweep in each case, or a row that says why it is impossible.
 
-    The monitor is calibrated for this estimator, which gives deviations, and saw nothing of the benign ``sample``.
+    The monitor must be calibrated for this estimator, which gives deviations, without the benign ``sample``.
     """
     for case in cases:
         of = Series(domain, method, case), sample.sample.scene, number
@@ -47,26 +47,26 @@ def watch(
 
 
 def rows_of(results: Results[Any], domain: str, method: str, seed: int = 0) -> pd.DataFrame:
-    """Return one row for each case of a method in a domain, over all sweeps that the case could be made of.
+    """Return a table with one row per case of a method in a domain, over all sweeps on which the case is possible.
 
-    Columns: kind and name of the case; the share that alarms (``alarms``); and but for benign sweeps AUROC against the
-    same sweeps untouched with its 95 % interval (``low``, ``high``), the share above a limit that at most 1 % of these
-    untouched sweeps pass (``caught``; with fewer than 100: that none passes), and the AUROC of the plain mean deviation
-    (``auroc_mean``). ``seed`` is that of the intervals.
+    Columns: kind and name of the case; the share of alarms (``alarms``). For all but benign sweeps also AUROC against
+    the same sweeps untouched, with its 95 % interval (``low``, ``high``); the true positive rate at a limit that at
+    most 1 % of these untouched sweeps exceed (``caught``; with fewer than 100: that none exceeds); and the AUROC of the
+    plain mean deviation (``auroc_mean``). ``seed`` is that of the intervals.
     """
     rows = results.rows[(results.rows["domain"] == domain) & (results.rows["method"] == method)]
-    # Cases that could be made of no sweep come last.
+    # Cases that are impossible on all sweeps come last.
     rows = rows.set_index("sweep").sort_index().sort_values("refused", kind="stable")
     benign = rows[rows["kind"] == "benign"]
-    found = []
+    table = []
     for (kind, name), case in rows.groupby(["kind", "name"], sort=False):
-        made = case[case["refused"] == ""]
-        figures = {"kind": kind, "name": name, "alarms": made["alarm"].mean()}
-        if name and len(made):
-            was, now = benign.loc[made.index], made
-            low, high = auroc_interval(was["score"], now["score"], generator(seed, name), paired=True)
-            figures |= {"auroc": auroc(was["score"], now["score"]), "low": low, "high": high,
-                        "caught": tpr_at_fpr(was["score"], now["score"], FALSE_ALARM_RATE),
-                        "auroc_mean": auroc(was["mean_std"], now["mean_std"])}  # fmt: skip
-        found.append(figures)
-    return pd.DataFrame(found, columns=["kind", "name", "alarms", "auroc", "low", "high", "caught", "auroc_mean"])
+        changed = case[case["refused"] == ""]
+        figures = {"kind": kind, "name": name, "alarms": changed["alarm"].mean()}
+        if name and len(changed):
+            clean = benign.loc[changed.index]
+            low, high = auroc_interval(clean["score"], changed["score"], generator(seed, name), paired=True)
+            figures |= {"auroc": auroc(clean["score"], changed["score"]), "low": low, "high": high,
+                        "caught": tpr_at_fpr(clean["score"], changed["score"], FALSE_ALARM_RATE),
+                        "auroc_mean": auroc(clean["mean_std"], changed["mean_std"])}  # fmt: skip
+        table.append(figures)
+    return pd.DataFrame(table, columns=["kind", "name", "alarms", "auroc", "low", "high", "caught", "auroc_mean"])

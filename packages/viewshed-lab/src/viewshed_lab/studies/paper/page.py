@@ -1,4 +1,4 @@
-"""The two pages: their tables and pictures; what they say stands in ``page.md`` and ``strict.md``."""
+"""The two pages of the study: their pictures and values; the text is in ``page.md`` and ``strict.md``."""
 
 from __future__ import annotations
 
@@ -47,27 +47,27 @@ from viewshed_lab.training.figures import convergence_figure, fold_figure
 TEMPLATES = {PAPER: "paper/page.md", STRICT: "paper/strict.md"}
 
 STEMS = {PAPER: "paper", STRICT: "paper_strict"}
-"""Names of the pages, and beginnings of those of their pictures."""
+"""File names of the pages, and prefixes of those of their pictures."""
 
 SHOWN = "far_wall"
-"""Attack of the strict protocol's maps: a corridor that is not there."""
+"""Attack of the strict protocol's maps: a false corridor."""
 
 SPOOFED = "100"
-"""Spoofed points of the pictures of the paper's protocol."""
+"""Number of spoofed points in the pictures of the paper's protocol."""
 
 UNIFORM = Case("paper", "uniform", SPOOFED)
 
 SPREAD = 50
-"""Sweeps that the picture of the spread lays over each other, at most."""
+"""Maximum number of sweeps that the picture of the spread overlays."""
 
 CURVED = 9
-"""Contestants that the severity curves show at most, the best on benign sweeps beside all networks."""
+"""Maximum number of curves in severity pictures: all networks, and the classical estimators best on benign sweeps."""
 
 LATENCY = "latency, ms, 2 threads"
 
 
 def violin_picture(results: PaperResults, protocol: str) -> Picture:
-    """Return violins of precision and AUPRC of each sweep, for every domain: benign against attacked."""
+    """Return violins of precision and AUPRC of single sweeps by domain: benign against attacked."""
     panels = dict[str, Violins]()
     for domain in results.domains:
         methods = tables.pair_methods(results, protocol, domain).items()
@@ -81,9 +81,9 @@ def violin_picture(results: PaperResults, protocol: str) -> Picture:
 
 
 def spread_picture(results: PaperResults) -> Picture | None:
-    """Return where the published attack puts its points: on one sweep, and on every held-out one of a domain.
+    """Return maps of the points that the published attack adds to one sweep, and to all held-out ones of a domain.
 
-    None without the sweeps.
+    None if the archive of the domain is missing.
     """
     plan, folder = results.plan, results.store.folder
     domain = plan.domains[0]
@@ -92,11 +92,11 @@ def spread_picture(results: PaperResults) -> Picture | None:
     setting, rows = setting_of(plan, PAPER, domain), {}
     numbers = range(plan.pair_frames[0])[:SPREAD]
     for name in ("uniform", "cluster"):
-        case, every = Case("paper", name, SPOOFED), np.zeros(setting.grid.shape)
+        case, added = Case("paper", name, SPOOFED), np.zeros(setting.grid.shape)
         for number in numbers:
             evaluation = evaluation_of(plan, folder, setting, setting.suite({}), number)
             tampered = tampered_of(evaluation, case, plan.test_seed)
-            every += setting.grid.count(tampered.sweep.points[tampered.added])
+            added += setting.grid.count(tampered.sweep.points[tampered.added])
             if number == numbers[0]:
                 maps = [
                     Map(title, "returns", np.minimum(setting.grid.count(points), 1))
@@ -106,19 +106,19 @@ def spread_picture(results: PaperResults) -> Picture | None:
                         ("added points", tampered.sweep.points[tampered.added]),
                     )
                 ]
-        rows[name] = [*maps, Map(f"added to {len(numbers)} sweeps", "returns", np.minimum(every, 1))]
+        rows[name] = [*maps, Map(f"added to {len(numbers)} sweeps", "returns", np.minimum(added, 1))]
     alt = f"{SPOOFED} spoofed points, uniform and as a cluster, on one sweep of {domain} and on {len(numbers)}"
     return Picture("paper_spread.png", map_figure(rows), alt)
 
 
 def fold_pictures(results: PaperResults) -> Iterator[Picture]:
-    """Yield the validation loss of each fold over its epochs, setting by setting, and the F1 of all folds."""
+    """Yield pictures of the validation loss of each fold over its epochs, and of the F1 of all folds, by setting."""
     folds = results.store.results("crossval").facts
     if not folds:
         return
     curves: dict[str, list[list[float]]] = {}
-    for key, found in folds.items():
-        losses = [epoch["validation_loss"] for epoch in found["history"]]
+    for key, training in folds.items():
+        losses = [epoch["validation_loss"] for epoch in training["history"]]
         curves.setdefault(f"dropout {key[1]}, learning rate {key[2]}", []).append(losses)
     alt = "Validation loss of every fold over its epochs, by dropout and learning rate"
     yield Picture("paper_folds.png", convergence_figure(curves), alt)
@@ -130,7 +130,7 @@ def fold_pictures(results: PaperResults) -> Iterator[Picture]:
 
 
 def resolution_picture(results: PaperResults) -> Picture | None:
-    """Return input, truth, probability and mask of one sweep at each resolution of the trade study; None without it."""
+    """Return maps of input, truth, probability and mask of one sweep by resolution of the trade study; None without."""
     plan, folder, rows = results.plan, results.store.folder, {}
     base = setting_of(plan, PAPER, plan.trade_domain)
     width = min(plan.trade_widths, key=lambda one: abs(one - plan.width))
@@ -152,9 +152,9 @@ def resolution_picture(results: PaperResults) -> Picture | None:
 
 
 def mcd_picture(results: PaperResults, protocol: str) -> Picture | None:
-    """Return mean and deviation on one sweep, benign and attacked, by networks trained without and with attacks.
+    """Return maps of mean and deviation on one sweep, benign and attacked, by networks of both training mixtures.
 
-    None if the networks are not there.
+    None if a network is not trained.
     """
     plan, folder = results.plan, results.store.folder
     domain = "nuscenes" if "nuscenes" in plan.domains else plan.domains[0]
@@ -179,7 +179,7 @@ def mcd_picture(results: PaperResults, protocol: str) -> Picture | None:
 
 
 def _shown_sweep(results: PaperResults, protocol: str, domain: str) -> tuple[Evaluation, Tampered]:
-    """Return the first held-out sweep and it under uniform points, or the first under ``SHOWN`` and it attacked."""
+    """Return evaluation and attacked sweep of the maps: the first with uniform points, or (strict) under ``SHOWN``."""
     plan, folder, setting = results.plan, results.store.folder, setting_of(results.plan, protocol, domain)
     number = 0 if protocol == PAPER else TOUCHING.index(SHOWN)
     attack = UNIFORM if protocol == PAPER else setting.attack(number)
@@ -188,7 +188,7 @@ def _shown_sweep(results: PaperResults, protocol: str, domain: str) -> tuple[Eva
 
 
 def trade_picture(results: PaperResults) -> Picture | None:
-    """Return precision, accuracy and F1 of the trade study over latency; None if there are no results."""
+    """Return the picture of precision, accuracy and F1 of the trade study over latency; None without results."""
     dots = {}
     for shape, counts in tables.trade_counts(results).items():
         rates = {"precision": counts.precision, "accuracy": counts.accuracy, "F1": counts.f1}
@@ -200,7 +200,7 @@ def trade_picture(results: PaperResults) -> Picture | None:
 
 
 def severity_pictures(domain: tables.StrictDomain) -> Iterator[Picture]:
-    """Yield curves of F1 in the view and in the wedge over the strengths of the attacks that have some."""
+    """Yield pictures of F1 in the view and in the wedge over the strength of each attack that has strengths."""
     classical = [name for name in domain.methods if name not in tables.NETWORKS]
     best = sorted(classical, key=lambda name: -domain.counts(name).f1)
     chosen = best[: CURVED - (len(domain.methods) - len(classical))]
@@ -247,7 +247,7 @@ def files_of(results: PaperResults, protocol: str) -> dict[str, bytes]:
 
 
 def provenance(results: PaperResults, protocol: str) -> dict[str, str]:
-    """Return what a page rests on, by name."""
+    """Return the provenance of a page: plan, seeds, network, training, data and attacks, by name."""
     plan, chosen = results.plan, chosen_of(results.plan, results.store.folder)
     of, by = (plan, "") if chosen is None else (chosen, ", chosen by cross-validation")
     shape = f"{plan.cells} × {plan.cells} cells, width {plan.width}, depth {plan.depth}, dropout {of.dropout:g}{by}"
@@ -268,7 +268,7 @@ def provenance(results: PaperResults, protocol: str) -> dict[str, str]:
 
 
 def _hours(results: PaperResults, protocol: str) -> str:
-    """Return how long the jobs of each step took, added up, where they were timed."""
+    """Return the summed hours of the timed jobs of each step, as text."""
     facts = {**results.store.results("crossval").facts, **results.pairs.facts, **results.trade.facts}
     facts |= {("models", *name): of for name, of in results.models.items()}
     words = []
@@ -280,19 +280,19 @@ def _hours(results: PaperResults, protocol: str) -> str:
 
 
 def _held_out_words(results: PaperResults, protocol: str) -> Iterator[str]:
-    """Yield how many sweeps of how many scenes the pairs of a domain are scored on; of MCD where it takes fewer."""
+    """Yield the numbers of scored sweeps and scenes of each domain, as text; of MCD too if it has fewer."""
     for domain in sorted(results.plan.domains):
-        every, words = results.pairs.series(domain, protocol), []
+        series, words = results.pairs.series(domain, protocol), []
         for mcd in (False, True):
-            each = [results.pairs.scenes(s) for s in every if results.plan.is_mcd(s.method) == mcd]
-            if most := max(each, key=len, default=[]):
-                words.append(f"{len(most)} of {len(set(most))} scenes")
+            scenes_of = [results.pairs.scenes(s) for s in series if results.plan.is_mcd(s.method) == mcd]
+            if scenes := max(scenes_of, key=len, default=[]):
+                words.append(f"{len(scenes)} of {len(set(scenes))} scenes")
         if words:
             yield f"{domain} {words[0]}" + "".join(f" (MCD {word})" for word in words[1:] if word != words[0])
 
 
 def _unfinished(results: PaperResults, protocol: str) -> str:
-    """Return which steps are not finished."""
+    """Return a sentence that lists the unfinished steps; an empty string without any."""
     done, words = results.store.keys(), []
     for step in STEPS:
         keys = results.plan.job_keys_of(step, [protocol])
@@ -303,7 +303,7 @@ def _unfinished(results: PaperResults, protocol: str) -> str:
 
 
 def _refused(results: PaperResults) -> str | None:
-    """Return which attacks could not be made of how many sweeps, and why; None where all could."""
+    """Return a sentence that lists impossible attacks with the number of sweeps and the reason; None without any."""
     refused = sorted(results.strict.refused.items())
     words = [f"{case.name} in {domain} ({count} times: {why})" for (domain, case, why), count in refused]
     return f"Could not be made: {'; '.join(words)}." if words else None

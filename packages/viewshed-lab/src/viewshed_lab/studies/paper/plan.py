@@ -1,4 +1,4 @@
-"""What is run over what, every number of it spelt out."""
+"""The plan of the paper's study, with every parameter spelled out."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ VARIANTS = ("mle", "mcd")
 """One pass with dropout off; the mean of several with dropout on."""
 
 MIXTURES = ("benign", "adversarial")
-"""What a model is trained on, and what it is tested on."""
+"""Kinds of training and test data."""
 
 STEPS = ("data", "crossval", "models", "pairs", "strict", "trade", "monitor", "pages")
-"""What the command does, in order."""
+"""Steps of the command, in order."""
 
 CLASSICAL = "classical"
-"""Names the classical estimators where a model's name stands otherwise."""
+"""Stands for the classical estimators in job keys, in place of a model's name."""
 
 PER_DOMAIN = ("train_scenes", "train_times", "test_scenes", "test_times", "interval_s", "pair_frames")
-"""Keys with one number for each domain."""
+"""Keys with one number per domain."""
 
 
 @dataclass(frozen=True, slots=True, order=True)
@@ -37,8 +37,8 @@ class Model:
 
     protocol: str  # of ``PROTOCOLS``
     variant: str  # of ``VARIANTS``
-    mixture: str  # of ``MIXTURES``, what it is trained on
-    domain: str  # that it is trained in
+    mixture: str  # of ``MIXTURES``, its training data
+    domain: str  # of its training data
 
     @property
     def name(self) -> str:
@@ -52,13 +52,13 @@ class Model:
 
     @property
     def key(self) -> JobKey:
-        """Name of the job that trains it."""
+        """Key of its training job."""
         return "models", self.protocol, self.name
 
 
 @dataclass(frozen=True, slots=True)
 class PaperPlan(Plan):
-    """What is run over what. ``all`` in the TOML stands for a whole table of names."""
+    """Plan of the study. ``all`` in the TOML stands for all names of a table."""
 
     FOLDER: ClassVar[str] = "studies/paper/plans"
     WHOLE_TABLES: ClassVar[Mapping[str, Iterable[str]]] = {"monitor_corruptions": CORRUPTIONS}
@@ -66,55 +66,55 @@ class PaperPlan(Plan):
     name: str
     about: str
     domains: tuple[str, ...]  # presets of simulated data
-    train_scenes: tuple[int, ...]  # scenes that are trained and validated on, for each domain
-    train_times: tuple[int, ...]  # how often each agent measures in such a scene
-    test_scenes: tuple[int, ...]  # held-out scenes
-    test_times: tuple[int, ...]  # how often each agent measures in such a scene
+    train_scenes: tuple[int, ...]  # number of scenes for training and validation, per domain
+    train_times: tuple[int, ...]  # sweeps of each agent in such a scene
+    test_scenes: tuple[int, ...]  # number of held-out scenes
+    test_times: tuple[int, ...]  # sweeps of each agent in such a scene
     interval_s: tuple[float, ...]  # between two sweeps of one agent
     seed: int  # of the training data and of the training
-    test_seed: int  # of the held-out scenes and of all that is random in the evaluation
-    cells: int  # cells a side, in both protocols
+    test_seed: int  # of the held-out scenes and of all random draws in the evaluation
+    cells: int  # cells per side, in both protocols
     width: int  # channels of the network's first stage
-    depth: int  # its poolings
-    dropout: float  # share of channels that a mask sets to zero; cross-validation chooses another
-    loss: str  # what is minimized
-    learning_rate: float  # of the optimizer; cross-validation chooses another
+    depth: int  # number of its poolings
+    dropout: float  # share of channels that a mask sets to zero; cross-validation replaces it
+    loss: str  # name of the loss
+    learning_rate: float  # of the optimizer; cross-validation replaces it
     schedule: str  # of the learning rate: ``constant`` or ``cosine``
-    batch: int  # frames of a step
-    epochs: int  # at most
+    batch: int  # frames per step
+    epochs: int  # maximum number
     patience: int  # epochs without a better validation loss after which training stops
-    frames_per_epoch: int  # frames of an epoch
-    validation_share: float  # share of the training scenes that is validated on
-    versions: int  # how many versions of a training frame, each attacked anew, are made once and shown in turn
-    mirrored: bool  # whether training frames are turned by quarter turns and mirrored at random
-    counts: str  # how the networks are shown the returns of a cell, ``linear`` or ``log``
-    precision: str  # of the training's numbers, ``32`` or ``bf16``
-    workers: int  # processes that make training frames
+    frames_per_epoch: int
+    validation_share: float  # share of the training scenes used for validation
+    versions: int  # number of precomputed versions of a training frame, each with its own attack, used in turn
+    mirrored: bool  # whether training frames are randomly mirrored and turned by quarter turns
+    counts: str  # scale of the returns per cell in the input, ``linear`` or ``log``
+    precision: str  # of the training, ``32`` or ``bf16``
+    workers: int  # processes that prepare training frames
     crossval_folds: int  # folds of whole scenes, on the trade study's domain; 0 for no cross-validation
-    crossval_dropouts: tuple[float, ...]  # that it tries
-    crossval_learning_rates: tuple[float, ...]  # that it tries
-    crossval_cells: int  # cells a side of its networks
-    crossval_epochs: int  # epochs of each of its trainings, at most
-    crossval_frames: int  # frames of an epoch
+    crossval_dropouts: tuple[float, ...]  # values to try
+    crossval_learning_rates: tuple[float, ...]  # values to try
+    crossval_cells: int  # cells per side of its networks
+    crossval_epochs: int  # maximum number of epochs of each of its trainings
+    crossval_frames: int  # frames per epoch
     attack_share: float  # share of training frames that the strict protocol attacks
-    trained_attacks: tuple[str, ...]  # of ``ATTACKS``; those that the strict protocol trains on, all others are unseen
+    trained_attacks: tuple[str, ...]  # of ``ATTACKS``: training attacks of the strict protocol; all others are unseen
     passes: int  # stochastic passes of Monte Carlo dropout
-    pair_frames: tuple[int, ...]  # held-out sweeps that each of the 72 pairs is scored on, for each domain
-    pair_part: int  # of these sweeps are done together: what a stopped run loses at most
-    mcd_every: int  # N: models that take several passes are scored on every Nth sweep
-    strict_frames: int  # held-out sweeps that face every attack
-    strengths: bool  # whether they also face every strength of ``attacks.SEVERITIES``
-    trade_domain: str  # where the trade study is made
-    trade_widths: tuple[int, ...]  # widths that it tries
-    trade_depths: tuple[int, ...]  # depths that it tries
-    trade_cells: tuple[int, ...]  # resolutions that it tries
+    pair_frames: tuple[int, ...]  # number of held-out sweeps on which each of the 72 pairs is scored, per domain
+    pair_part: int  # number of these sweeps per job: the most that a stopped run loses
+    mcd_every: int  # N: models with several passes are scored on every Nth sweep
+    strict_frames: int  # number of held-out sweeps with every attack
+    strengths: bool  # whether these sweeps also get every strength of ``attacks.SEVERITIES``
+    trade_domain: str  # domain of the trade study
+    trade_widths: tuple[int, ...]  # widths to try
+    trade_depths: tuple[int, ...]  # depths to try
+    trade_cells: tuple[int, ...]  # resolutions to try
     trade_epochs: int  # epochs of each of its trainings
-    trade_repeats: int  # passes of which the median is the latency
-    monitor_domain: str  # where the monitor of the deviation is tried
-    monitor_frames: int  # benign sweeps that it is fitted on, calibrated on and reported on, each
-    monitor_false_alarms: float  # rate of false alarms that it is calibrated for
+    trade_repeats: int  # passes whose median is the latency
+    monitor_domain: str  # domain of the deviation monitor
+    monitor_frames: int  # number of benign sweeps for fitting, for calibration and for the report, each
+    monitor_false_alarms: float  # false alarm rate of its calibration
     monitor_corruptions: tuple[str, ...]  # of ``CORRUPTIONS``, whose false alarms are counted
-    monitor_severity: int  # of them
+    monitor_severity: int  # of these corruptions
 
     def __post_init__(self) -> None:
         for key, table in (("domains", preset_names()), ("trained_attacks", ATTACKS),
@@ -151,9 +151,9 @@ class PaperPlan(Plan):
     def _check_held_out(self) -> None:
         held_out = zip(self.domains, self.test_scenes, self.test_times, self.pair_frames, strict=True)
         for domain, scenes, times, frames in held_out:
-            most = scenes * preset_named(domain).agents * (times - 1)
-            if max(frames, self.strict_frames) > most:
-                raise ValueError(f"pair_frames and strict_frames must be at most {most}, what {domain} has with a past")
+            high = scenes * preset_named(domain).agents * (times - 1)
+            if max(frames, self.strict_frames) > high:
+                raise ValueError(f"pair_frames and strict_frames must be at most {high}, what {domain} has with a past")
         scenes = self.test_scenes[self.domains.index(self.monitor_domain)]
         if 3 * self.monitor_frames > scenes:
             raise ValueError(f"monitor_frames must be at most {scenes // 3}, a third of the held-out scenes")
@@ -163,11 +163,11 @@ class PaperPlan(Plan):
             )
 
     def job_keys(self) -> list[JobKey]:
-        """Return the names of all jobs, step after step."""
+        """Return the keys of all jobs, step by step."""
         return [key for step in STEPS for key in self.job_keys_of(step)]
 
     def job_keys_of(self, step: str, protocols: Sequence[str] = PROTOCOLS) -> list[JobKey]:
-        """Return the names of all jobs of a step in some protocols, in the order in which they are done."""
+        """Return the keys of all jobs of a step in some protocols, in the order in which they run."""
         if step == "models":
             return [model.key for model in self.models(protocols)]
         if step == "crossval" and PAPER in protocols:
@@ -197,14 +197,14 @@ class PaperPlan(Plan):
         return [(step, mixture) for mixture in MIXTURES] if step == "monitor" and STRICT in protocols else []
 
     def is_mcd(self, name: str) -> bool:
-        """Return whether a name is that of a model that takes several passes."""
+        """Return whether a model of this name uses several passes."""
         return name.startswith(VARIANTS[1])
 
     def parts(self, domain: str, mcd: bool) -> list[list[int]]:
         """Return the numbers of the held-out sweeps of a domain's pairs, part by part.
 
-        Numbers go through the scenes in turn: which of every ``mcd_every`` sweeps is taken moves on with each turn, so
-        that no scene is left out whatever their number.
+        Numbers go through the scenes in rounds. With ``mcd``, the choice among every ``mcd_every`` sweeps shifts by one
+        in each round, so that no scene is left out.
 
         >>> plan = PaperPlan.load("tiny")
         >>> [list(part) for part in plan.parts("ugv", mcd=False)], [list(part) for part in plan.parts("ugv", mcd=True)]
@@ -216,7 +216,7 @@ class PaperPlan(Plan):
         return [numbers[start : start + self.pair_part] for start in range(0, len(numbers), self.pair_part)]
 
     def models(self, protocols: Sequence[str] = PROTOCOLS) -> list[Model]:
-        """Return the models of some protocols: 2 variants × 2 mixtures × the domains, in each."""
+        """Return the models of some protocols; each has 2 variants × 2 mixtures × the domains."""
         return [
             Model(protocol, variant, mixture, domain)
             for protocol in protocols
@@ -226,5 +226,5 @@ class PaperPlan(Plan):
         ]
 
     def model(self, protocol: str, name: str) -> Model:
-        """Return the model of a name."""
+        """Return the model called ``name``."""
         return next(model for model in self.models([protocol]) if model.name == name)

@@ -21,15 +21,15 @@ PAPER_EXTENT_M, PAPER_INDOOR_EXTENT_M = 80.0, 18.0
 
 @dataclass(frozen=True, slots=True)
 class ProtocolSetting:
-    """What a network is given and held against in one domain."""
+    """Input and truth of networks in one protocol and domain."""
 
     protocol: str  # of ``PROTOCOLS``
     domain: str  # a preset's name
     grid: BevGrid  # of input and truth
     truth: str  # ``paper_label`` or ``probe``
-    threshold: float  # probability from which a cell is claimed
-    max_range_m: float  # farther returns are left out
-    heights_m: tuple[float, float]  # lowest and highest return, from the sensor's own height
+    threshold: float  # minimum probability of a claimed cell
+    max_range_m: float  # maximum range of the used returns
+    heights_m: tuple[float, float]  # minimum and maximum height of the used returns, relative to the sensor
 
     @property
     def indoor(self) -> bool:
@@ -37,16 +37,16 @@ class ProtocolSetting:
         return self.grid.half_extent_m < ROOM_M
 
     def card(self, trained: NetworkCard) -> NetworkCard:
-        """Return the card of a network as it is used here, wherever it was trained."""
+        """Return the card of a network for this setting, regardless of the domain of its training."""
         return replace(
             trained, name="tested", grid=self.grid, truth=self.truth, max_range_m=self.max_range_m,
             heights_m=self.heights_m, threshold=self.threshold,
         )  # fmt: skip
 
     def classical(self) -> dict[str, EstimatorFactory]:
-        """Return the classical estimators and the fixed views by name; in the paper's protocol its own first.
+        """Return the classical estimators and the fixed views by name.
 
-        But not its label, which is the truth there.
+        In the paper's protocol the paper's own come first, without its label, which is the truth there.
         """
         if self.protocol == STRICT:
             return CLASSICAL | FIXED_VIEWS
@@ -54,14 +54,14 @@ class ProtocolSetting:
         return {name: make for name, make in papers.items() if name != LABEL} | CLASSICAL | FIXED_VIEWS
 
     def attack(self, number: int) -> Case:
-        """Return the attack that the held-out sweep ``number`` faces.
+        """Return the attack on held-out sweep ``number``.
 
-        In the paper's protocol its mixture; in the strict one all that touch returns in turn, with default budgets.
+        In the paper's protocol its mixture; in the strict one all that change returns in turn, with default budgets.
         """
         return MIXTURE if self.protocol == PAPER else Case("attack", TOUCHING[number % len(TOUCHING)], DEFAULT)
 
     def suite(self, estimators: Mapping[str, Estimator]) -> EstimatorSuite:
-        """Return estimators as they are tried here."""
+        """Return a suite of estimators on this grid and threshold."""
         return EstimatorSuite(self.grid, self.threshold, estimators)
 
 

@@ -1,4 +1,4 @@
-"""What arXiv 2503.07375 reports, what this study set out to reach, and all that it has found."""
+"""The figures of arXiv 2503.07375, the targets of this study, and its results."""
 
 from __future__ import annotations
 
@@ -20,23 +20,23 @@ ORDER = ("carla", "nuscenes", "ugv")
 """Domains in the paper's order."""
 
 TESTED_ON = {"benign": BENIGN, "adversarial": ATTACKED}
-"""The case of the held-out sweeps by the mixture that they are of."""
+"""The case of the held-out sweeps, by mixture."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PaperResults:
-    """All that the study has found so far, by step."""
+    """All results of the study so far, by step."""
 
-    store: ResultStore[PaperPlan]  # it is from
+    store: ResultStore[PaperPlan]  # source of the results
     pairs: Results[PaperPlan]  # held-out sweeps, benign and attacked, by networks and classical estimators
     strict: Results[PaperPlan]  # sweeps under every attack
     trade: Results[PaperPlan]  # networks of other widths, depths and resolutions
-    monitor: Results[PaperPlan]  # of the deviation, by what its network was trained on
+    monitor: Results[PaperPlan]  # deviation monitor, by the training mixture of its network
     models: dict[tuple[str, ...], dict[str, Any]]  # facts of each training, by protocol and name
 
     @classmethod
     def read(cls, store: ResultStore[PaperPlan]) -> PaperResults:
-        """Return what is in a store; the order of its lines does not matter."""
+        """Return the results in a store."""
         pairs, strict, trade, monitor = (store.results(step) for step in ("pairs", "strict", "trade", "monitor"))
         models = {key[1:]: facts for key, facts in sorted(store.results("models").facts.items())}
         return cls(store, pairs, strict, trade, monitor, models)
@@ -53,7 +53,7 @@ class PaperResults:
         return [*(name for name in ORDER if name in domains), *(name for name in domains if name not in ORDER)]
 
     def pairs_in(self, protocol: str, domain: str) -> Domain[PaperPlan]:
-        """Return the scores of all pairs that were tested in a domain."""
+        """Return the results of all pairs that were tested in a domain."""
         return Domain(self.pairs, domain, protocol)
 
 
@@ -63,15 +63,15 @@ class SubTable:
 
     title: str  # of the table
     variant: str  # of the models
-    trained: str  # what they are trained on
-    tested: str  # what they are tested on
+    trained: str  # mixture of the training
+    tested: str  # mixture of the test
 
     def key(self, protocol: str, test: str, train: str) -> Series:
-        """Return whose scores stand in a cell of the table."""
+        """Return the series of a cell of the table, by test and training domain."""
         return Series(test, f"{self.variant}-{self.trained}-{train}", TESTED_ON[self.tested], protocol=protocol)
 
     def published(self, test: str, train: str) -> list[float] | None:
-        """Return the paper's precision, recall, accuracy and F1 of a cell; None where it has none."""
+        """Return the paper's precision, recall, accuracy and F1 of a cell; None if it has no such table."""
         figures = _published().get(f"{self.variant}-{self.trained}-{self.tested}", {})
         return figures.get(f"{test}-{train}", [float("nan")] * 4) if figures else None
 
@@ -104,13 +104,13 @@ OTHERS = (
 
 @dataclass(frozen=True, slots=True)
 class PublishedTarget:
-    """One figure that the study set out to reach in the paper's protocol."""
+    """One target of the study in the paper's protocol."""
 
-    what: str  # in words
+    what: str  # description
     published: float  # the paper's figure
     least: float  # the target
-    found: float  # ours, NaN where it is not measured
-    at_half: float  # ours with a threshold of .5, not the paper's
+    found: float  # our figure, NaN if not measured
+    at_half: float  # our figure at a threshold of .5 instead of the paper's
 
     @property
     def verdict(self) -> str:
@@ -119,26 +119,26 @@ class PublishedTarget:
 
 
 def targets_of(results: PaperResults) -> list[PublishedTarget]:
-    """Return the targets of the paper's protocol, those of the plan ``medium``, beside what was reached."""
+    """Return the targets of the paper's protocol, those of the plan ``medium``, with the reached figures."""
     in_domain = [(BENIGN_TABLE, (0.93, 0.92, 0.91)), (ADVERSARIAL, (0.93, 0.91, 0.90))]
     worst = [(BENIGN_TABLE, 0.89), (ADVERSARIAL, 0.87)]
-    targets = [target for table, least in in_domain for target in _in_domain(results, table, least)]
-    return targets + [_worst(results, table, least) for table, least in worst]
+    targets = [target for table, minima in in_domain for target in _in_domain(results, table, minima)]
+    return targets + [_worst(results, table, minimum) for table, minimum in worst]
 
 
-def _in_domain(results: PaperResults, table: SubTable, least: Sequence[float]) -> Iterator[PublishedTarget]:
-    for domain, target in zip(ORDER, least, strict=True):
+def _in_domain(results: PaperResults, table: SubTable, minima: Sequence[float]) -> Iterator[PublishedTarget]:
+    for domain, target in zip(ORDER, minima, strict=True):
         what, published = f"in-domain F1, {table.tested}, {domain}", _paper_f1(table, domain, domain)
         yield PublishedTarget(what, published, target, *_f1(results, table, domain, domain))
 
 
-def _worst(results: PaperResults, table: SubTable, least: float) -> PublishedTarget:
-    """Return the target of the lowest F1 where training and test set differ."""
+def _worst(results: PaperResults, table: SubTable, minimum: float) -> PublishedTarget:
+    """Return the target of the lowest F1 over pairs of different training and test domains."""
     crossed = [(test, train) for test, train in product(ORDER, ORDER) if test != train]
-    found = zip(*(_f1(results, table, *pair) for pair in crossed), strict=True)
-    lowest = [float("nan") if any(map(isnan, rates)) else min(rates) for rates in found]
+    by_threshold = zip(*(_f1(results, table, *pair) for pair in crossed), strict=True)
+    lowest = [float("nan") if any(map(isnan, rates)) else min(rates) for rates in by_threshold]
     published = min(_paper_f1(table, *pair) for pair in crossed)
-    return PublishedTarget(f"worst transfer F1, {table.tested}", published, least, *lowest)
+    return PublishedTarget(f"worst transfer F1, {table.tested}", published, minimum, *lowest)
 
 
 def _paper_f1(table: SubTable, test: str, train: str) -> float:
@@ -146,6 +146,6 @@ def _paper_f1(table: SubTable, test: str, train: str) -> float:
 
 
 def _f1(results: PaperResults, table: SubTable, test: str, train: str) -> tuple[float, float]:
-    """Return F1 of a pair with the paper's threshold and with .5; NaN where it was not tried."""
+    """Return F1 of a pair at the paper's threshold and at .5; NaN without results."""
     key = table.key(PAPER, test, train)
     return results.pairs.counts(key).f1, results.pairs.scores([key]).f1()

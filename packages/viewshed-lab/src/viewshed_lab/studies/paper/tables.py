@@ -1,4 +1,4 @@
-"""The tables of both protocols' pages as words: the 72 pairs, attacks one by one, trainings, trade study, monitor."""
+"""The tables of both protocols' pages: the 72 pairs, single attacks, trainings, trade study, monitor."""
 
 from __future__ import annotations
 
@@ -37,14 +37,14 @@ from viewshed_lab.threats.attacks import ATTACKS, FAMILY
 
 NETWORKS = tuple(f"{variant}-{mixture}" for variant in VARIANTS for mixture in MIXTURES)
 
-OBJECT_SCENES, LEAST_BEAMS = 10, 5
+OBJECT_SCENES, MIN_BEAMS = 10, 5
 
 StrictDomain = Domain[PaperPlan]
-"""The sweeps of one domain that face every attack."""
+"""Results of the step ``strict`` in one domain."""
 
 
 def training_table(results: PaperResults, protocol: str) -> Table:
-    """Return how each training of a protocol went."""
+    """Return the table of the trainings of a protocol."""
     models = {name: facts for (of, name), facts in results.models.items() if of == protocol}
     best = {name: facts["history"][facts["best"] - 1] for name, facts in models.items()}
     return lines("model", by_name(models), {
@@ -59,7 +59,7 @@ def training_table(results: PaperResults, protocol: str) -> Table:
 
 
 def fold_table(results: PaperResults) -> Table | None:
-    """Return F1 of the folds of each setting of cross-validation, the chosen one in bold; None without any."""
+    """Return the table of the folds' F1 by setting of cross-validation, the chosen one bold; None without any."""
     scores = fold_scores(results.plan, results.store.folder)
     chosen, rows = chosen_of(results.plan, results.store.folder), []
     for setting in sorted(scores):
@@ -70,21 +70,21 @@ def fold_table(results: PaperResults) -> Table | None:
 
 
 def object_table(results: PaperResults) -> Table:
-    """Return how many vehicles and people there are: of each an agent returns some beams, and in a scene."""
+    """Return the table of the mean number of vehicles and people: those that an agent's beams hit, and in a scene."""
     rows = []
     for domain in results.domains:
         preset = preset_of(results.plan, domain, "test")
-        seen, there = list[int](), list[int]()
+        seen, present = list[int](), list[int]()
         for number in range(min(preset.scenes[0], OBJECT_SCENES)):
             plan = ScenePlan(preset, 0, number)
             things = world_of(plan).things
             objects = [index for index, thing in enumerate(things) if thing.kind in OBJECT_KINDS]
-            there.append(len(objects))
+            present.append(len(objects))
             for agent in range(preset.agents):
-                met = np.bincount(np.maximum(scan_frame(plan, agent)[0].thing, -1).ravel() + 1, minlength=2)[1:]
-                seen.append(sum(int(index < len(met) and met[index] >= LEAST_BEAMS) for index in objects))
-        rows.append([domain, f"{np.mean(seen):.1f}", f"{np.mean(there):.1f}", str(len(there))])
-    return Table(["domain", f"met by {LEAST_BEAMS} beams or more, an agent", "in a scene", "scenes"], rows)
+                beams = np.bincount(np.maximum(scan_frame(plan, agent)[0].thing, -1).ravel() + 1, minlength=2)[1:]
+                seen.append(sum(int(index < len(beams) and beams[index] >= MIN_BEAMS) for index in objects))
+        rows.append([domain, f"{np.mean(seen):.1f}", f"{np.mean(present):.1f}", str(len(present))])
+    return Table(["domain", f"met by {MIN_BEAMS} beams or more, an agent", "in a scene", "scenes"], rows)
 
 
 def trade_counts(results: PaperResults) -> dict[tuple[int, int, int], ConfusionCounts]:
@@ -95,7 +95,7 @@ def trade_counts(results: PaperResults) -> dict[tuple[int, int, int], ConfusionC
 
 
 def trade_facts(results: PaperResults, shape: tuple[int, int, int]) -> dict[str, float]:
-    """Return latency by threads in milliseconds and size of a network of the trade study, of (cells, depth, width)."""
+    """Return latency in milliseconds and size of a trade study network of shape (cells, depth, width), by label."""
     facts = results.trade.facts["trade", *map(str, shape[::-1])]
     ms = facts["latency_ms"]
     return {
@@ -107,7 +107,7 @@ def trade_facts(results: PaperResults, shape: tuple[int, int, int]) -> dict[str,
 
 
 def trade_table(results: PaperResults) -> Table | None:
-    """Return what each network of the trade study scores, how long a pass takes, and its size; None without any."""
+    """Return the table of scores, latency and size of the trade study's networks; None without any."""
     rows = []
     for shape, counts in trade_counts(results).items():
         facts, rates = trade_facts(results, shape), (counts.precision, counts.accuracy, counts.f1)
@@ -118,9 +118,9 @@ def trade_table(results: PaperResults) -> Table | None:
 
 
 def monitor_table(results: PaperResults, kind: str) -> Table | None:
-    """Return AUROC, its interval, detections at 1 % and alarms for every attack or corruption; None without any.
+    """Return the table of the monitor's figures for every attack or corruption; None without any.
 
-    By what the network was trained on.
+    AUROC with its interval, detections at 1 %, alarms and AUROC of the mean, by training mixture of the network.
     """
     domain = Domain(results.monitor, results.plan.monitor_domain)
     trained = [name for name in MIXTURES if name in domain.methods]
@@ -138,7 +138,7 @@ def monitor_table(results: PaperResults, kind: str) -> Table | None:
 
 
 def pair_table(results: PaperResults, protocol: str, table: SubTable) -> Table:
-    """Return precision, recall, accuracy, F1 of nine pairs in the paper's layout, its figures below ours."""
+    """Return the table of precision, recall, accuracy and F1 in the paper's layout, its figures below ours."""
     domains, rows = results.domains, []
     for test in domains:
         keys = [table.key(protocol, test, train) for train in domains]
@@ -151,7 +151,7 @@ def pair_table(results: PaperResults, protocol: str, table: SubTable) -> Table:
 
 
 def _four(counts: ConfusionCounts) -> str:
-    """Return precision, recall, accuracy in hundredths and F1 in thousandths."""
+    """Return precision, recall and accuracy with two digits, and F1 with three, as text."""
     if isnan(counts.precision) and isnan(counts.accuracy):
         return "–"
     rates = (counts.precision, counts.recall, counts.accuracy)
@@ -164,7 +164,7 @@ def _bounds(results: PaperResults, key: Series) -> str:
 
 
 def area_table(results: PaperResults, protocol: str, table: SubTable) -> Table:
-    """Return AUPRC of nine pairs in the paper's layout."""
+    """Return the table of AUPRC in the paper's layout."""
 
     def area(test: str, train: str) -> str:
         return format_rate(results.pairs.scores([table.key(protocol, test, train)]).auprc())
@@ -174,7 +174,7 @@ def area_table(results: PaperResults, protocol: str, table: SubTable) -> Table:
 
 
 def target_table(results: PaperResults) -> Table:
-    """Return the targets of the paper's protocol, met or missed, beside the paper's figures."""
+    """Return the table of the targets of the paper's protocol, met or missed, with the paper's figures."""
     rows = [
         [target.what, format_rate(target.published, 2), f"≥ {format_rate(target.least, 2)}", format_rate(target.found),
          target.verdict, format_rate(target.at_half)]
@@ -184,24 +184,24 @@ def target_table(results: PaperResults) -> Table:
 
 
 def pair_methods(results: PaperResults, protocol: str, domain: str) -> dict[str, str]:
-    """Return who was tried on a domain's sweeps: the networks trained there, by short name, then the classical ones."""
+    """Return the methods with results in a domain: the networks trained there by short name, then classical ones."""
     networks = {name: f"{name}-{domain}" for name in NETWORKS}
-    every = networks | by_name(setting_of(results.plan, protocol, domain).classical())
-    found = results.pairs_in(protocol, domain)
-    return {short: name for short, name in every.items() if found.has(name, BENIGN)}
+    methods = networks | by_name(setting_of(results.plan, protocol, domain).classical())
+    pairs = results.pairs_in(protocol, domain)
+    return {short: name for short, name in methods.items() if pairs.has(name, BENIGN)}
 
 
 def mixture_table(results: PaperResults, protocol: str, domain: str) -> Table:
-    """Return everything about benign and attacked sweeps of a domain, networks trained there beside the classical."""
-    found = results.pairs_in(protocol, domain)
+    """Return the table of all methods on benign and attacked sweeps of a domain, with the networks trained there."""
+    pairs = results.pairs_in(protocol, domain)
 
     def value(method: str, column: tuple[Case, str]) -> str:
         case, word = column
-        counts = found.counts(method, case)
+        counts = pairs.counts(method, case)
         if word == "AUPRC":
-            return format_rate(found.scores(method, [case]).auprc())
+            return format_rate(pairs.scores(method, [case]).auprc())
         if word == "F1 [95 %]":
-            return format_interval(counts.f1, found.interval(method, [case], f1))
+            return format_interval(counts.f1, pairs.interval(method, [case], f1))
         return format_rate(counts.precision if word == "precision" else counts.recall)
 
     words = ("precision", "recall", "F1 [95 %]", "AUPRC")
@@ -210,22 +210,22 @@ def mixture_table(results: PaperResults, protocol: str, domain: str) -> Table:
 
 
 def calibration_table(results: PaperResults, protocol: str, domain: str) -> Table:
-    """Return ECE, Brier score and AURC on benign and attacked sweeps; less is better; of MCD also by its deviation."""
-    found = results.pairs_in(protocol, domain)
+    """Return the table of ECE, Brier score and AURC (of MCD also by its deviation) on benign and attacked sweeps."""
+    pairs = results.pairs_in(protocol, domain)
     rows = [
-        [short, *(word for case in TESTED_ON.values() for word in calibration_of(found.scores(name, [case])))]
+        [short, *(word for case in TESTED_ON.values() for word in calibration_of(pairs.scores(name, [case])))]
         for short, name in pair_methods(results, protocol, domain).items()
     ]
     return Table(["", *(f"{word}, {mixture}" for mixture in TESTED_ON for word in CALIBRATION)], rows)
 
 
 def attacked_cases(domain: StrictDomain) -> list[Case]:
-    """Return the attacks with their default budgets of which there are results, in the order of their table."""
+    """Return the cases of attacks with default budgets that have results, in the order of ``ATTACKS``."""
     return [case for name in ATTACKS if (case := Case("attack", name, DEFAULT)) in domain.cases]
 
 
 def view_table(domain: StrictDomain) -> Table:
-    """Return F1 of the whole view under every attack, with half of its 95 % interval; the best in bold."""
+    """Return the table of F1 of the whole view under every attack, with half of its 95 % interval; the best bold."""
 
     def spread(case: Case, method: str) -> str:
         return format_spread(domain.counts(method, case).f1, domain.interval(method, [case], f1))
@@ -235,7 +235,7 @@ def view_table(domain: StrictDomain) -> Table:
 
 
 def wedge_table(domain: StrictDomain) -> Table:
-    """Return precision / recall / F1 in the wedge under every attack that has one, above the same left untouched."""
+    """Return the table of precision / recall / F1 in the wedge of every attack that has one, attacked and untouched."""
     rows = []
     for case in attacked_cases(domain):
         if domain.has_wedge(case):
@@ -245,10 +245,10 @@ def wedge_table(domain: StrictDomain) -> Table:
 
 
 def _best_f1(counts: Sequence[ConfusionCounts]) -> list[str]:
-    """Return precision / recall / F1 of each, the best F1 in bold."""
-    most = max((one.f1 for one in counts if not isnan(one.f1)), default=float("nan"))
+    """Return precision / recall / F1 of each as text, the best F1 in bold."""
+    best = max((one.f1 for one in counts if not isnan(one.f1)), default=float("nan"))
     words = [format_rates(one.precision, one.recall, one.f1) for one in counts]
-    return [f"**{cell}**" if one.f1 == most else cell for cell, one in zip(words, counts, strict=True)]
+    return [f"**{cell}**" if one.f1 == best else cell for cell, one in zip(words, counts, strict=True)]
 
 
 def _labeled(domain: StrictDomain, case: Case) -> str:
@@ -258,7 +258,7 @@ def _labeled(domain: StrictDomain, case: Case) -> str:
 
 
 def winner_table(domain: StrictDomain) -> Table:
-    """Return who has the largest F1 under each attack, and the best network beside the best classical estimator."""
+    """Return the table of the best network and the best classical estimator by F1 under each attack."""
     networks = [name for name in domain.methods if name in NETWORKS]
     classical = [name for name in domain.methods if name not in NETWORKS]
     rows = []
@@ -275,7 +275,7 @@ def winner_table(domain: StrictDomain) -> Table:
 
 
 def seen_table(domain: StrictDomain) -> Table:
-    """Return mean F1 over the attacks that models were trained on and over those that they were not."""
+    """Return the table of mean F1 over the attacks used in training and over the unseen ones."""
     rows: dict[str, tuple[list[Case], str]] = {}
     for words, seen in (("trained on", True), ("never seen", False)):
         cases = [case for case in attacked_cases(domain) if (case.name in domain.plan.trained_attacks) == seen]

@@ -1,4 +1,4 @@
-"""The jobs of the study: what is done with one sample, part by part."""
+"""The jobs of the robustness study: one per sample and part."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from viewshed_lab.studies.suite import paper_suite, strict_suite
 def run_study(
     store: ResultStore[RobustnessPlan], engine: Engine, on_progress: Progress = lambda *_: None
 ) -> Iterator[str]:
-    """Run what is not in the store yet, and yield one line for each job that failed."""
+    """Run the jobs that are not in the store; yield one line for each failed job."""
     return run_jobs(store, do_job, store.plan.job_keys(), engine, on_progress, step=store.plan.name)
 
 
 def do_job(job: Job[RobustnessPlan]) -> JobResult:
-    """Return what every estimator says of one sample in the cases of one part."""
+    """Evaluate every estimator on one sample in the cases of one part."""
     part, cases = job.key[0], job.plan.cases(job.key[0])
     evaluation = evaluation_of(job)
     if part != "adaptive":
@@ -34,7 +34,7 @@ def do_job(job: Job[RobustnessPlan]) -> JobResult:
 
 
 def evaluation_of(job: Job[RobustnessPlan]) -> Evaluation:
-    """Return the sample of a job, with those who are tried on it in this part."""
+    """Return the evaluation of a job: its sample, with the estimators, truth and defenses of its part."""
     plan, (part, domain, number) = job.plan, job.key
     sample = _sample(domain, int(number), plan.count(domain), plan.seed)
     rng_of = partial(case_generator, plan.seed, domain, int(number))
@@ -48,5 +48,5 @@ def evaluation_of(job: Job[RobustnessPlan]) -> Evaluation:
 
 @lru_cache(maxsize=2)
 def _sample(domain: str, number: int, count: int, seed: int) -> StudySample:
-    """The parts of one sample often fall to the same worker."""
+    """Return a sample, cached as one worker often gets several parts of it."""
     return sample_of(domain, number, count, seed)

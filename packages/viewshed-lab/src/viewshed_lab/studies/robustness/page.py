@@ -1,4 +1,4 @@
-"""The page of the study: its tables and pictures; what it says stands in ``page.md``."""
+"""The page of the robustness study: its pictures and values; the text is in ``page.md``."""
 
 from __future__ import annotations
 
@@ -28,42 +28,41 @@ DRAWN = ("quantized", "concave_hull", "first_blocker", "shadow_map", "majority_v
 """Estimators in the pictures of single sweeps."""
 
 PAPERS_FARTHEST = ("paper_quantized", "paper_continuous", "paper_concave_hull")
-"""The paper's methods that the farthest return decides."""
+"""The paper's methods that depend on the farthest return of each direction."""
 
 FARTHEST = ("quantized", "continuous", "concave_hull")
-"""Ours of the same kind."""
-
+"""Our methods of the same kind."""
 
 BUDGETS = {f"Up to {MODEST} returns": MODEST, "Up to a full wedge": None}
-"""By heading the number of returns that an attacker has at most; None for any number."""
+"""By heading, the maximum number of returns of an attacker; None for any number."""
 
 
 def violin_picture(domains: Sequence[AttackedDomain], protocol: str) -> Picture:
     """Return violins of precision and AUPRC for every domain: benign against the paper's mixture, or all attacks."""
     paper, panels = protocol == PAPER, dict[str, figures.Violins]()
     for domain in domains:
-        held = domain.paper if paper else domain
-        methods = {name.replace("paper_", "paper: "): name for name in held.methods}
-        panels |= figures.violins_of(held, methods, [MIXTURE] if paper else list(domain.strongest.values()))
+        results = domain.paper if paper else domain
+        methods = {name.replace("paper_", "paper: "): name for name in results.methods}
+        panels |= figures.violins_of(results, methods, [MIXTURE] if paper else list(domain.strongest.values()))
     attacked = "the paper's attacks" if paper else "every attack at its largest budget"
     png = figures.violin_figure(panels, 2, attacked)
     return Picture(f"robustness_violins_{protocol}.png", png, f"Precision and AUPRC, benign and under {attacked}")
 
 
 def budget_picture(domain: AttackedDomain) -> Picture:
-    """Return curves of F1 in the whole view over the budget, one panel an attack."""
+    """Return curves of F1 in the whole view over the budget, one panel per attack."""
     return _curves(domain, "f1", "F1 over the budget of each attack", "F1", _budgets(domain), _f1)
 
 
 def wedge_picture(domain: AttackedDomain) -> Picture:
-    """Return curves of precision in the attacker's wedge over the budget, one panel an attack that has a wedge."""
+    """Return curves of precision in the attacker's wedge over the budget, one panel per attack that has a wedge."""
     words = "precision in the attacker's wedge over the budget of each attack"
     panels = {title: cases for title, cases in _budgets(domain).items() if any(map(domain.has_wedge, cases))}
     return _curves(domain, "wedge", words, "precision in the wedge", panels, _wedge_precision)
 
 
 def corruption_picture(domain: AttackedDomain) -> Picture:
-    """Return curves of F1 over the severity, one panel a corruption; benign first."""
+    """Return curves of F1 over the severity, one panel per corruption; benign first."""
     plan = domain.plan
     panels = {name: [BENIGN, *corruption_cases((name,), plan.severities)] for name in plan.corruptions}
     return _curves(domain, "corruptions", "F1 over the severity of each corruption", "F1", panels, _f1)
@@ -86,7 +85,7 @@ def _wedge_precision(domain: Domain[Any], method: str, case: Case) -> float:
 def _curves(
     domain: AttackedDomain, stem: str, words: str, label: str, panels: dict[str, list[Case]], value: figures.CaseValue
 ) -> Picture:
-    """Return a picture of a value of every estimator over the cases of each panel."""
+    """Return a picture with curves of a value of every estimator over the cases of each panel."""
     curves = {
         title: figures.curves_of(domain, domain.methods, {case.level or "benign": case for case in cases}, value)
         for title, cases in panels.items()
@@ -97,7 +96,7 @@ def _curves(
 
 
 def scene_picture(store: ResultStore[RobustnessPlan]) -> Picture:
-    """Return the first sweep of the first domain under one attack of each family, at its largest budget."""
+    """Return the picture of the first sweep of the first domain under the strongest case of one attack per family."""
     plan, first = store.plan, dict[int, str]()
     for name in ATTACKS:
         if name in plan.attacks:
@@ -144,7 +143,7 @@ def files_of(store: ResultStore[RobustnessPlan], stem: str = "robustness") -> di
 
 
 def provenance(results: Results[RobustnessPlan]) -> dict[str, str]:
-    """Return what the pages rest on, by name."""
+    """Return the provenance of the pages by name."""
     return {
         "study": f"{results.plan.name}, seed {results.plan.seed}",
         "samples": ", ".join(f"{domain.name} {results.sweeps(domain.name)}" for domain in domains_of(results))
@@ -156,7 +155,7 @@ def provenance(results: Results[RobustnessPlan]) -> dict[str, str]:
 
 
 def _extent(results: Results[RobustnessPlan]) -> str:
-    """Return how much was run, and what is missing."""
+    """Return sentences on the extent of the study and on unfinished jobs."""
     plan, done, jobs = results.plan, len(results.facts), len(results.plan.job_keys())
     words = f"{sum(results.sweeps(domain.name) for domain in domains_of(results))} sweeps with {len(plan.attacks)} "
     words += f"attacks, {len(plan.corruptions)} corruptions and {len(plan.defenses)} defenses."
@@ -165,17 +164,17 @@ def _extent(results: Results[RobustnessPlan]) -> str:
     return words
 
 
-def withstood_at(domains: Sequence[AttackedDomain], most: int | None) -> str:
-    """Return a list of what each estimator withstands in every domain, up to a budget."""
+def withstood_at(domains: Sequence[AttackedDomain], max_budget: int | None) -> str:
+    """Return a list of the attacks that each estimator withstands in every domain, up to a budget."""
 
     def withstands(name: str, attack: str) -> bool:
-        return all(domain.verdict(name, attack, most).withstands for domain in domains)
+        return all(domain.verdict(name, attack, max_budget).withstands for domain in domains)
 
     return _withstood(domains[0].attacks, withstands)
 
 
 def withstood_adaptive(plan: RobustnessPlan, domains: Sequence[AttackedDomain]) -> str | None:
-    """Return a list of which attackers who query it each estimator withstands in every domain; None without any."""
+    """Return a list of the adaptive attacks that each estimator withstands in every domain; None without domains."""
 
     def withstands(name: str, attack: str) -> bool:
         return all(domain.withstands_adaptive(name, attack) for domain in domains)
@@ -184,17 +183,17 @@ def withstood_adaptive(plan: RobustnessPlan, domains: Sequence[AttackedDomain]) 
 
 
 def _withstood(attacks: Sequence[str], withstands: Callable[[str, str], bool]) -> str:
-    held = {name: [attack for attack in attacks if withstands(name, attack)] for name in TESTED}
+    withstood = {name: [attack for attack in attacks if withstands(name, attack)] for name in TESTED}
     lines = [
         f"- **{name}** withstands {len(names)} of {len(attacks)} in every domain: {_listed(names)}."
-        for name, names in held.items()
+        for name, names in withstood.items()
         if names
     ]
-    none = [name for name, names in held.items() if not names]
+    none = [name for name, names in withstood.items() if not names]
     if none:
         lines.append(f"- Withstand 0 of {len(attacks)} in every domain: {', '.join(f'**{name}**' for name in none)}.")
-    nobody = [attack for attack in attacks if not any(attack in names for names in held.values())]
-    return "\n".join([*lines, f"- Withstood in all domains by no single classical estimator: {_listed(nobody)}."])
+    by_none = [attack for attack in attacks if not any(attack in names for names in withstood.values())]
+    return "\n".join([*lines, f"- Withstood in all domains by no single classical estimator: {_listed(by_none)}."])
 
 
 def _listed(names: Sequence[str]) -> str:
@@ -202,12 +201,12 @@ def _listed(names: Sequence[str]) -> str:
 
 
 def _finding(plan: RobustnessPlan, domain: AttackedDomain) -> str:
-    """Return by how much precision of the farthest-return methods falls at 100 to 150 uniform points."""
+    """Return a sentence on the loss of precision of the farthest-return methods at 100 to 150 uniform points."""
     levels = [str(points) for points in plan.paper_points if 100 <= points <= 150]
 
     def falls(kind: str, methods: Sequence[str]) -> str:
-        every = [100 * tables.fall_of(domain, name, Case(kind, "uniform", each)) for name in methods for each in levels]
-        known = [fall for fall in every if not isnan(fall)]
+        falls = [100 * tables.fall_of(domain, name, Case(kind, "uniform", n)) for name in methods for n in levels]
+        known = [fall for fall in falls if not isnan(fall)]
         return f"{min(known):.0f} to {max(known):.0f} %" if known else "an amount not measured here"
 
     return (
@@ -218,7 +217,7 @@ def _finding(plan: RobustnessPlan, domain: AttackedDomain) -> str:
 
 
 def refused_table(results: Results[RobustnessPlan]) -> Table | None:
-    """Return which cases could not be made of how many samples, and why; None where all could."""
+    """Return the table of impossible cases with the number of samples and the reason; None without any."""
     rows = [
         [domain, case.name, case.level, case.defense, str(count), why]
         for (domain, case, why), count in sorted(results.refused.items())

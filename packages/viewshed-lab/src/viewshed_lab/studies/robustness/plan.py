@@ -1,4 +1,4 @@
-"""What is run over what: names taken from the tables of attacks, corruptions and defenses."""
+"""The plan of the robustness study: names from the tables of attacks, corruptions and defenses."""
 
 from __future__ import annotations
 
@@ -21,20 +21,20 @@ from viewshed_lab.studies.records import BENIGN, Case
 from viewshed_lab.studies.suite import TESTED
 from viewshed_lab.threats.attacks import ATTACKS
 from viewshed_lab.threats.attacks.adaptive import ADAPTIVE
-from viewshed_lab.threats.attacks.points import MOST_FREE
+from viewshed_lab.threats.attacks.points import MAX_FREE_POINTS
 from viewshed_lab.threats.corruptions import CORRUPTIONS
 from viewshed_lab.threats.defenses import DEFENSES
 
 SEVERITIES = (1, 2, 3, 4, 5)
 
 PARTS = ("attacks", "corruptions", "defenses", "paper", "adaptive")
-"""What is done with a sample, one job each: the strict block in three, the paper's, and on some samples of each domain
-the attackers who know their victim."""
+"""Parts of a sample's evaluation, one job each: three of the strict protocol, the paper's protocol, and on some samples
+of each domain the adaptive attackers."""
 
 
 @dataclass(frozen=True, slots=True)
 class RobustnessPlan(Plan):
-    """What is run over what. Names are of the tables of the package; ``all`` in the TOML is a whole table."""
+    """Plan of the study. Names are of the package's tables; ``all`` in the TOML stands for all names of a table."""
 
     FOLDER: ClassVar[str] = "studies/robustness/plans"
     WHOLE_TABLES: ClassVar[Mapping[str, Iterable[str]]] = {
@@ -44,25 +44,25 @@ class RobustnessPlan(Plan):
 
     name: str
     about: str
-    domains: tuple[str, ...]  # presets of simulated data, of which held-out scenes are made as needed
-    samples: tuple[int, ...]  # how many of each domain, one a scene as far as there are scenes
-    seed: int  # of everything random; simulated domains are made with it, so it must not be one that anybody trained on
+    domains: tuple[str, ...]  # presets of simulated data; held-out scenes are simulated as needed
+    samples: tuple[int, ...]  # number of samples per domain, each from its own scene
+    seed: int  # of all random draws and of the simulated domains, so it must not be a seed of training data
     attacks: tuple[str, ...]  # of ``ATTACKS``
-    budgets: tuple[str, ...]  # numbers of returns, ``full`` for a whole wedge; of these each attack runs what fits it
+    budgets: tuple[str, ...]  # numbers of returns, or ``full`` for a full wedge; each attack runs those it supports
     strengths: bool  # whether attacks also run with other sectors, shares and offsets (``attacks.SEVERITIES``)
     corruptions: tuple[str, ...]  # of ``CORRUPTIONS``
     severities: tuple[int, ...]  # of the corruptions, 1 to 5
     defenses: tuple[str, ...]  # of ``DEFENSES``
-    defended: tuple[str, ...]  # estimators that the defenses stand before
-    defended_severity: int  # of the corruptions that the defenses face
-    paper_points: tuple[int, ...]  # numbers of points in the paper's own block
-    # of ``attacks.adaptive.ADAPTIVE``: attackers who query their victim, each of all estimators
+    defended: tuple[str, ...]  # estimators that are evaluated behind the defenses
+    defended_severity: int  # of the corruptions for the defenses
+    paper_points: tuple[int, ...]  # numbers of points in the part ``paper``
+    # of ``attacks.adaptive.ADAPTIVE``: attackers that query their victim; each attacks every estimator
     adaptive: tuple[str, ...]
-    adaptive_budget: int  # most returns that they place
-    adaptive_queries: int  # most queries that they make
-    adaptive_samples: tuple[int, ...]  # how many samples of each domain they meet, spread evenly
-    adaptive_defended: tuple[str, ...]  # estimators whose attackers also know the defense before them, for each defense
-    adaptive_against_defenses: tuple[str, ...]  # which of ``adaptive`` these attackers are
+    adaptive_budget: int  # maximum number of their returns
+    adaptive_queries: int  # maximum number of their queries
+    adaptive_samples: tuple[int, ...]  # number of samples per domain for them, spread evenly
+    adaptive_defended: tuple[str, ...]  # estimators that adaptive attackers also attack behind each defense
+    adaptive_against_defenses: tuple[str, ...]  # the attackers of ``adaptive`` that do
 
     def __post_init__(self) -> None:
         for key, table in self.WHOLE_TABLES.items():
@@ -85,13 +85,13 @@ class RobustnessPlan(Plan):
             not 0 <= few <= count for few, count in zip(counts, self.samples, strict=True)
         ):
             raise ValueError(f"adaptive_samples must be 0 to {list(self.samples)}, one a domain, got {list(counts)}")
-        if not 1 <= self.adaptive_budget <= MOST_FREE:
-            raise ValueError(f"adaptive_budget must lie in [1, {MOST_FREE}], got {self.adaptive_budget}")
+        if not 1 <= self.adaptive_budget <= MAX_FREE_POINTS:
+            raise ValueError(f"adaptive_budget must lie in [1, {MAX_FREE_POINTS}], got {self.adaptive_budget}")
         if self.adaptive_queries < 3:
             raise ValueError(f"adaptive_queries must be at least 3, got {self.adaptive_queries}")
 
     def job_keys(self) -> list[JobKey]:
-        """Return part, domain and number of each job, sample after sample and domain after domain in turn."""
+        """Return part, domain and number of each job; samples of the domains alternate."""
         numbers = sorted(
             (number / count, position, number)
             for position, count in enumerate(self.samples)
@@ -104,23 +104,23 @@ class RobustnessPlan(Plan):
         ]
 
     def parts(self, domain: str, number: int) -> tuple[str, ...]:
-        """Return what is done with a sample: all of ``PARTS``, or all but the last."""
+        """Return the parts of a sample: all of ``PARTS``, or all but the last."""
         few, count = self.adaptive_samples[self.domains.index(domain)], self.count(domain)
         met = bool(self.adaptive) and number in {k * count // few for k in range(few)}
         return PARTS if met else PARTS[:-1]
 
     def count(self, domain: str) -> int:
-        """Return how many samples a domain has."""
+        """Return the number of samples of a domain."""
         return self.samples[self.domains.index(domain)]
 
     def cases(self, part: str) -> list[Case]:
-        """Return the cases of one of ``PARTS``, each once."""
+        """Return the cases of one of ``PARTS``, without duplicates."""
         makers = {"attacks": self._attacks, "corruptions": self._corruptions, "defenses": self._defenses,
                   "paper": self._paper, "adaptive": self._adaptive}  # fmt: skip
         return list(dict.fromkeys(makers[part]()))
 
     def strongest(self, attack: str) -> Case:
-        """Return an attack with the largest budget of the plan that fits it, or its largest strength."""
+        """Return an attack with the largest budget of the plan that it supports, or with its largest strength."""
         return strongest_case(attack, self.budgets)
 
     def _attacks(self) -> Iterator[Case]:
@@ -134,8 +134,8 @@ class RobustnessPlan(Plan):
         return iter(corruption_cases(self.corruptions, self.severities))
 
     def _defenses(self) -> Iterator[Case]:
-        faced = [BENIGN, *map(self.strongest, self.attacks)]
-        return behind([*faced, *corruption_cases(self.corruptions, (self.defended_severity,))], self.defenses)
+        attacked = [BENIGN, *map(self.strongest, self.attacks)]
+        return behind([*attacked, *corruption_cases(self.corruptions, (self.defended_severity,))], self.defenses)
 
     def _paper(self) -> Iterator[Case]:
         yield BENIGN

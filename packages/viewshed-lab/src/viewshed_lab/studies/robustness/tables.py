@@ -1,4 +1,4 @@
-"""The tables of the page: pooled figures of one domain each, as words."""
+"""The tables of the page of the robustness study, with pooled figures by domain."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def _f1_with_interval(domain: AttackedDomain, method: str, case: Case = BENIGN, 
 
 
 def benign_table(domain: AttackedDomain) -> Table:
-    """Return what each estimator scores on clean sweeps, with the interval of its F1."""
+    """Return the table of each estimator's figures on clean sweeps, with the interval of its F1."""
     clean = domain.counts
     return lines("", by_name(domain.methods), {
         "precision": lambda name: format_rate(clean(name).precision),
@@ -47,14 +47,14 @@ def benign_table(domain: AttackedDomain) -> Table:
     })  # fmt: skip
 
 
-def _faced(domain: AttackedDomain) -> dict[str, Case]:
-    """Return what the defenses face by name: nothing, every attack at its largest budget, every corruption."""
+def _defense_cases(domain: AttackedDomain) -> dict[str, Case]:
+    """Return the cases of the defenses by name: benign, every attack at its largest budget, every corruption."""
     corrupted = {f"{name}, {case.level}": case for name, case in domain.corrupted.items()}
     return {"*benign*": BENIGN} | domain.strongest | corrupted
 
 
 def gain_table(domain: AttackedDomain) -> Table:
-    """Return what each defense adds to F1: on clean sweeps / on average over the attacks at their largest budget."""
+    """Return the table of F1 gained by each defense: on clean sweeps / mean over the strongest attacks."""
 
     def gain(case: Case, defense: str, method: str) -> float:
         return domain.counts(method, replace(case, defense=defense)).f1 - domain.counts(method, case).f1
@@ -71,7 +71,7 @@ def _signed(gain: float) -> str:
 
 
 def caught_table(domain: AttackedDomain) -> Table:
-    """Return the share of the attacker's returns that each defense drops, of the others, and how often it alarms."""
+    """Return the table of the shares of forged and other returns that each defense drops, or of its alarms."""
 
     def dropped(case: Case, defense: str) -> str:
         series = domain.series("", replace(case, defense=defense))
@@ -86,11 +86,11 @@ def caught_table(domain: AttackedDomain) -> Table:
             *(part / whole if whole else float("nan") for part, whole in ((caught, added), (lost, others)))
         )
 
-    return pivot("", _faced(domain), by_name(domain.plan.defenses), dropped)
+    return pivot("", _defense_cases(domain), by_name(domain.plan.defenses), dropped)
 
 
 def paper_table(domain: AttackedDomain) -> Table:
-    """Return precision against the paper's label: benign, and under its attacks with the relative change."""
+    """Return the table of precision against the paper's label: benign, and under its attacks with relative change."""
     paper = domain.paper
 
     def precision(method: str, case: Case) -> str:
@@ -102,15 +102,15 @@ def paper_table(domain: AttackedDomain) -> Table:
 
 
 def fall_of(domain: AttackedDomain, method: str, case: Case) -> float:
-    """Return the relative fall of pooled precision against the benign one of its protocol; NaN without results."""
-    held = domain.paper if case.kind == "paper" else domain
-    return 1.0 - held.counts(method, case).precision / held.counts(method).precision
+    """Return the relative loss of pooled precision against the benign one of its protocol; NaN without results."""
+    results = domain.paper if case.kind == "paper" else domain
+    return 1.0 - results.counts(method, case).precision / results.counts(method).precision
 
 
 def adaptive_table(domain: AttackedDomain) -> Table:
-    """Return what each attacker who queries adds to the false area of a sweep, beside the worst one who does not.
+    """Return the table of false area per sweep added by each adaptive attack, and by the worst other attack.
 
-    All columns are of the same samples and the same budget.
+    All columns have the same samples and the same budget.
     """
     met = domain.met("adaptive")
 
@@ -132,7 +132,7 @@ def adaptive_table(domain: AttackedDomain) -> Table:
 
 
 def wants_over(attack: str) -> bool:
-    """Return whether an attacker wants cells claimed that are not visible; else that visible ones are not claimed.
+    """Return whether an adaptive attack aims at over-claim; otherwise it aims at under-claim.
 
     >>> wants_over("adaptive_over_claim_free"), wants_over("adaptive_under_claim")
     (True, False)
@@ -148,7 +148,7 @@ def _more(domain: AttackedDomain, method: str, case: Case, over: bool) -> str:
 
 
 def known_defense_table(attack: str, domain: AttackedDomain) -> Table:
-    """Return precision / recall in the wedge behind each defense: untouched, defense not known, defense known."""
+    """Return the table of precision / recall in the wedge by defense: untouched, defense unknown, defense known."""
     budget = str(domain.plan.adaptive_budget)
     kinds = {"untouched": ("adaptive", "0"), "defense not known": ("unaware", budget),
              "defense known": ("adaptive", budget)}  # fmt: skip
@@ -164,14 +164,14 @@ def known_defense_table(attack: str, domain: AttackedDomain) -> Table:
 
 
 def summary_table(domain: AttackedDomain) -> Table:
-    """Return one line an estimator: its scores clean, attacked and corrupted, and how much it withstands.
+    """Return the table of each estimator's scores, clean, attacked and corrupted, and of the attacks it withstands.
 
-    The best of each column is bold: the bar.
+    The best of each column, the baseline to beat, is bold.
     """
     attacked, corrupted = domain.strongest.values(), domain.corrupted.values()
 
-    def withstood(method: str, most: int | None) -> str:
-        return _share([domain.verdict(method, attack, most).withstands for attack in domain.attacks])
+    def withstood(method: str, max_budget: int | None) -> str:
+        return _share([domain.verdict(method, attack, max_budget).withstands for attack in domain.attacks])
 
     def queried(method: str) -> str:
         met = [attack for attack in domain.plan.adaptive if domain.counts(method, domain.adaptive(attack)).cells]
@@ -197,7 +197,7 @@ def _share(verdicts: Sequence[bool]) -> str:
 
 
 def bar_overview(domains: Sequence[AttackedDomain], region: str) -> Table:
-    """Return the best score under each attack at its largest budget and whose it is, for every domain."""
+    """Return the table of the best F1 and its estimator, by attack at its largest budget and by domain."""
     attacks = dict.fromkeys(name for domain in domains for name in domain.attacks)
     rows = {"*benign*": BENIGN} | {name: domains[0].plan.strongest(name) for name in attacks}
     table = pivot("attack", rows, {domain.name: domain for domain in domains}, lambda c, d: leader(d, c, region))
@@ -205,6 +205,6 @@ def bar_overview(domains: Sequence[AttackedDomain], region: str) -> Table:
 
 
 def leader(domain: AttackedDomain, case: Case, region: str) -> str:
-    """Return the best F1 of a case with its interval, and whose it is; a dash where nobody has any."""
+    """Return the best F1 of a case with its interval and its estimator; a dash without any."""
     best = domain.best(domain.methods, case, region)
     return f"{_f1_with_interval(domain, best, case, region)} {best}" if best else "–"

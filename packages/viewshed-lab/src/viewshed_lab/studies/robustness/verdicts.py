@@ -1,4 +1,4 @@
-"""Who withstands what: losses against the same sweeps unattacked, and the rule that turns them into a verdict."""
+"""Losses of estimators under attack against the same sweeps unattacked, and the verdict whether they withstand it."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from viewshed_lab.studies.suite import TESTED
 from viewshed_lab.threats.attacks import ATTACKS
 
 MODEST = 200
-"""Returns that spoofers of the first years placed, and the paper's attacker."""
+"""Budget of early spoofers and of the paper's attacker, in returns."""
 
 MAX_F1_LOSS = 0.02
-"""F1 of the whole view that an estimator may lose at any budget and still withstand the attack."""
+"""Maximum loss of F1 of the whole view, at any budget, of an estimator that withstands an attack."""
 
 MAX_WEDGE_LOSS = 0.05
-"""Precision and recall in the attacker's wedge that it may lose; of the whole view where there is no wedge."""
+"""Its maximum loss of precision and of recall in the attacker's wedge; in the whole view without a wedge."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,8 +26,8 @@ class Verdict:
     """The worst losses of one estimator under one attack, over its budgets."""
 
     f1: float  # loss of F1 in the whole view
-    precision: float  # loss of precision in the wedge: what is claimed and not true
-    recall: float  # loss of recall in the wedge: what is true and not claimed
+    precision: float  # loss of precision in the wedge, by false claims
+    recall: float  # loss of recall in the wedge, by missing claims
 
     @property
     def withstands(self) -> bool:
@@ -37,22 +37,22 @@ class Verdict:
 
 @dataclass(frozen=True, eq=False)
 class AttackedDomain(Domain[RobustnessPlan]):
-    """The results of one domain: what each attack costs each estimator."""
+    """Results of one domain, with the losses of each estimator under each attack."""
 
     @cached_property
     def methods(self) -> list[str]:
-        """Estimators that there are results of: the paper's first, ours in the order of their table."""
+        """Estimators with results: the paper's first, then ours in the order of ``TESTED``."""
         order = list(TESTED)
         return sorted(super().methods, key=lambda name: order.index(name) if name in order else -1)
 
     @cached_property
     def paper(self) -> AttackedDomain:
-        """The results of the same domain by the paper's protocol."""
+        """Results of the same domain in the paper's protocol."""
         return AttackedDomain(self.results, self.name, PAPER)
 
     @cached_property
     def attacks(self) -> list[str]:
-        """Attacks that there are results of, in the order of their table."""
+        """Attacks with results, in the order of ``ATTACKS``."""
         return [name for name in ATTACKS if name in self.plan.attacks and self.cases_of(name)]
 
     @cached_property
@@ -62,30 +62,30 @@ class AttackedDomain(Domain[RobustnessPlan]):
 
     @property
     def corrupted(self) -> dict[str, Case]:
-        """Each corruption with the severity that defenses face."""
+        """Each corruption with the severity on which defenses are evaluated."""
         severity = str(self.plan.defended_severity)
         return {name: Case("corruption", name, severity) for name in self.plan.corruptions}
 
     def cases_of(self, attack: str) -> list[Case]:
-        """Return the cases of an attack with a budget above 0 that there are results of, or else its strengths."""
+        """Return the cases with results of an attack with a budget above 0, or without any its strengths."""
         named = [case for case in self.cases if case.name == attack and not case.defense and case.level != "0"]
         return [case for case in named if case.kind == "attack"] or [case for case in named if case.kind == "strength"]
 
     def met(self, kind: str) -> AttackedDomain:
-        """Return the results of only those sweeps that met a kind of case."""
+        """Return the results of only those sweeps that have a kind of case."""
         return AttackedDomain(self.results.met(self.name, kind), self.name)
 
     def adaptive(self, attack: str) -> Case:
-        """Return the case of an attacker who queries the victim."""
+        """Return the case of an adaptive attack, with the plan's budget."""
         return Case("adaptive", attack, str(self.plan.adaptive_budget))
 
     def withstands_adaptive(self, method: str, attack: str) -> bool:
-        """Return whether there are results of an attacker who queried this estimator, within the limits."""
+        """Return whether an estimator has results under an adaptive attack, within the limits."""
         case = self.adaptive(attack)
         return self.counts(method, case).cells > 0 and self.losses(method, case).withstands
 
     def before(self, method: str, case: Case) -> tuple[Case, str]:
-        """Return what an attacked score is held against: its wedge with no return touched, else the benign view."""
+        """Return the case and region to compare an attacked score with: its untouched wedge, else the benign view."""
         kinds = {"attack": "attack", "adaptive": "adaptive", "unaware": "adaptive"}
         unarmed = replace(case, kind=kinds.get(case.kind, ""), level="0")
         if self.counts(method, case, WEDGE).cells and self.counts(method, unarmed, WEDGE).cells:
@@ -93,17 +93,17 @@ class AttackedDomain(Domain[RobustnessPlan]):
         return BENIGN, VIEW
 
     def losses(self, method: str, case: Case) -> Verdict:
-        """Return what one case costs: F1 of the view, precision and recall in the wedge (of the view without one)."""
+        """Return the losses in one case: F1 of the view, precision and recall in the wedge (without one: the view)."""
         before, region = self.before(method, case)
         clean = BENIGN if case.kind in ("attack", "strength") else before
         was, now = self.counts(method, before, region), self.counts(method, case, region)
-        precision = _loss(was.precision, now.precision)  # claims nothing: nothing false
+        precision = _loss(was.precision, now.precision)  # NaN without claims: no false claim, so no loss
         recall = _loss(was.recall, 0.0 if isnan(now.recall) else now.recall)
         return Verdict(_loss(self.counts(method, clean).f1, self.counts(method, case).f1), precision, recall)
 
-    def verdict(self, method: str, attack: str, most: int | None = None) -> Verdict:
-        """Return the worst losses of an estimator under an attack, over its budgets of at most this many returns."""
-        cases = [case for case in self.cases_of(attack) if most is None or _returns(case) <= most]
+    def verdict(self, method: str, attack: str, max_budget: int | None = None) -> Verdict:
+        """Return the worst losses of an estimator under an attack, over its budgets up to ``max_budget`` returns."""
+        cases = [case for case in self.cases_of(attack) if max_budget is None or _returns(case) <= max_budget]
         losses = [self.losses(method, case) for case in cases]
         worst = (
             max((getattr(one, name) for one in losses), default=float("nan")) for name in ("f1", "precision", "recall")
@@ -111,20 +111,20 @@ class AttackedDomain(Domain[RobustnessPlan]):
         return Verdict(*worst)
 
     def more_m2(self, method: str, case: Case, *, over: bool) -> float:
-        """Return how many m² more are over-claimed (or under-claimed) in a sweep than where no return is touched."""
+        """Return the over-claimed (or under-claimed) area per sweep in m² that an attack adds."""
         before = self.before(method, case)[0] if case.kind == "adaptive" else BENIGN
         was, now = self.counts(method, before), self.counts(method, case)
         return now.over_m2 - was.over_m2 if over else now.under_m2 - was.under_m2
 
 
 def domains_of(results: Results[RobustnessPlan]) -> list[AttackedDomain]:
-    """Return the domains that there are results of, in the order of the plan."""
-    found = {series.domain for series in results.series()}
-    return [AttackedDomain(results, name) for name in results.plan.domains if name in found]
+    """Return the domains with results, in the order of the plan."""
+    names = {series.domain for series in results.series()}
+    return [AttackedDomain(results, name) for name in results.plan.domains if name in names]
 
 
 def _returns(case: Case) -> float:
-    """Return the budget; strengths have none and touch no return, a full wedge has no end."""
+    """Return the budget of a case: 0 for strengths, infinite for a full wedge."""
     return 0.0 if case.kind == "strength" else float(case.level) if case.level.isdecimal() else float("inf")
 
 

@@ -1,4 +1,4 @@
-"""Drives with exact truth: what stands where, what a detector says of it, and what each field of view lets be seen."""
+"""Simulated drives with exact truth: objects, detections, and the views of each field of view."""
 
 from __future__ import annotations
 
@@ -30,62 +30,62 @@ from viewshed_lab.data.simulated import ScenePlan, scan_frame, world_of
 from viewshed_lab.studies.tracks.lidar_level import SweepForger
 
 FOVS = ("none", "published", "polygon", "default")
-"""No field of view; the published tracker with its polygon; that polygon used by ours; that of the default method."""
+"""No field of view; the published tracker with its polygon; our tracker with that polygon, or the default method."""
 
 POLYGON = "paper_concave_hull"
-"""The estimator that is the published polygon."""
+"""Name of the estimator of the published polygon."""
 
 HZ = 10.0
 
 GRID = BevGrid(512, 64.0)
-"""As far as the grid for roads, with cells of 0.25 m: a car is more than a handful of them."""
+"""The extent of the road grid, with cells of 0.25 m, so that a car covers many cells."""
 
 KINDS = {
     "car": ObjectKind.CAR, "van": ObjectKind.CAR, "truck": ObjectKind.TRUCK, "bus": ObjectKind.TRUCK,
     "trailer": ObjectKind.TRUCK, "tractor": ObjectKind.TRUCK, "pedestrian": ObjectKind.PEDESTRIAN,
     "cyclist": ObjectKind.CYCLIST, "motorcycle": ObjectKind.CYCLIST,
 }  # fmt: skip
-"""Of the things of a simulated world; all others are ``OTHER``."""
+"""Kinds of detections by kind of simulated thing; all others are ``OTHER``."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ObjectsTruth:
-    """What stands in the world at the time of a sweep."""
+    """The objects in the world at the time of a sweep."""
 
-    numbers: NDArray[np.int32]  # (N,) int32, the same for one object over time
+    numbers: NDArray[np.int32]  # (N,) int32 ids, constant over time
     boxes: F64  # (N, 7) in the world
     kinds: NDArray[np.uint8]  # (N,) uint8 of ``ObjectKind``
-    returns: NDArray[np.int32]  # (N,) int32 that each gave
+    returns: NDArray[np.int32]  # (N,) int32 number of returns
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Moment:
     """One sweep of a drive."""
 
-    t_s: float  # its time
-    ground: F64  # (3,) place on the ground below the sensor, in the world
-    truth: ObjectsTruth  # all objects but the vehicle that carries the sensor
+    t_s: float  # time
+    ground: F64  # (3,) point on the ground below the sensor, in the world
+    truth: ObjectsTruth  # all objects except the vehicle that carries the sensor
     detections: Detections  # honest ones, in the world
-    of_object: NDArray[np.int32]  # (K,) int32 number of the object that each is of, -1 for false ones
-    visible: F64  # (N,) probability that the default field of view gives for each object of the truth
+    of_object: NDArray[np.int32]  # (K,) int32 number of each detection's object, -1 for false detections
+    visible: F64  # (N,) visibility of each object in the truth, by the default field of view
     views: dict[str, SensorView]  # by name of ``FOVS``
-    false_odds: F64  # (K,) how many false detections there are like each for one of an object
-    ghost: NDArray[np.bool_]  # (K,) bool, detections of an object that an attack on the LiDAR made
-    gone: frozenset[int] = frozenset()  # numbers of the objects that an attack on the LiDAR took from the sweep
-    report: IntegrityReport | None = None  # of the monitor of the sensor, where one watches
+    false_odds: F64  # (K,) ratio of false to true detections like this one
+    ghost: NDArray[np.bool_]  # (K,) bool, detections of an object that an attack on the LiDAR created
+    gone: frozenset[int] = frozenset()  # numbers of the objects that an attack on the LiDAR removed from the sweep
+    report: IntegrityReport | None = None  # of the sensor's monitor, if there is one
 
 
 SEEN_FROM = 5
-"""Expected returns from which an object can be seen."""
+"""Minimum number of (expected) returns of a visible object."""
 
 
 def simulate_drive(
     plan: ScenePlan, fovs: tuple[str, ...] = FOVS, forger: SweepForger | None = None
 ) -> Iterator[Moment]:
-    """Yield the sweeps of a drive of one vehicle with truth, detections and fields of view, of ``FOVS``.
+    """Yield the sweeps of a drive of one vehicle with truth, detections and fields of view of ``FOVS``.
 
-    A ``forger`` forges the sweeps before anything is computed from them; the truth stays, and the shipped monitor
-    watches.
+    A ``forger`` attacks the sweeps before anything is computed from them. The truth is unchanged; the shipped monitor
+    runs as well.
     """
     grid, detector = GRID, Detector()
     world, agent = world_of(plan), world_of(plan).agents[0]
@@ -98,7 +98,7 @@ def simulate_drive(
     about = {k: box_of(world.things[k]) for k in movable}
     kinds = np.array([KINDS.get(world.things[k].kind, ObjectKind.OTHER) for k in movable], np.uint8)
     for frame in range(plan.frames):
-        # 1. What stands there, and what each object returned.
+        # 1. The objects and their numbers of returns.
         t_s = (frame + 0.5) * plan.preset.interval_s
         scan, stored = scan_frame(plan, frame)
         of_return = scan.thing.reshape(-1)[stored.steps.reshape(-1) > 0]
@@ -115,14 +115,14 @@ def simulate_drive(
             raise ValueError("a drive must have poses, got a sweep without one")
         aimed = expected_returns(leveled, moved_boxes(truth.boxes, world_from_level.inverse()))
         visible = probability_of_visible(aimed.astype(np.float32), SEEN_FROM).astype(np.float64)
-        # 2. The sweep that everything else is computed from.
+        # 2. The sweep, attacked if there is a forger, from which everything else is computed.
         if forger is not None:
             tampered = forger.apply(clean, t_s, truth.numbers, truth.boxes, truth.returns)
             sweep, ghost_at = tampered.sweep, forger.ghost_at(clean)
             left = _counts_of(of_return[~tampered.removed], len(world.things))[movable]
             gone = frozenset(truth.numbers[(returns >= SEEN_FROM) & (left <= _GONE_SHARE * returns)].tolist())
             leveled = level(sweep, grid)
-        # 3. Fields of view, and detections.
+        # 3. Fields of view and detections.
         estimate = estimator.estimate(leveled)
         hull = polygon.estimate(leveled) if {"polygon", "published"} & set(fovs) else None
         pose = leveled.world_from_level or world_from_level
@@ -143,26 +143,26 @@ def simulate_drive(
 
 
 _GONE_SHARE = 0.3
-"""An object of whose returns an attack leaves no more than this is gone from the sweep."""
+"""An object counts as gone if an attack leaves at most this share of its returns."""
 
 _GHOST_WITHIN_M = 2.5
-"""A detection within this distance of a ghost, and of no object, is of the ghost."""
+"""A detection of no object within this distance of a ghost is a detection of the ghost."""
 
 
 def _counts_of(things: NDArray[Any], count: int) -> NDArray[np.intp]:
-    """Return how many returns (count,) things gave, by the thing (R,) of each return, -1 for none."""
+    """Return the number of returns (count,) of each thing, from the thing (R,) of each return, -1 for none."""
     return np.bincount(things[things >= 0], minlength=count)
 
 
 def _objects_of(detections: Detections, truth: ObjectsTruth) -> NDArray[np.int32]:
-    """Return the number (K,) of the object of each detection, by centers at most 2 m apart; -1 for none."""
+    """Return the number (K,) of the object of each detection, matched by centers within 2 m; -1 for none."""
     count = np.arange(len(detections))
     matched = match_objects(detections.boxes, count, truth.boxes, truth.numbers.astype(np.int64)).truth_of_track
     return np.append(truth.numbers, np.int32(-1))[matched]
 
 
 def _view_of(fov: str, t_s: float, leveled: LeveledSweep, hull: FovEstimate | None) -> View:
-    """Return the view of a field of view by its name."""
+    """Return the view of a field of view, by name."""
     if fov == "none":
         return SeesAll(t_s)
     return BeamView(leveled, t_s) if hull is None or fov == "default" else PolygonView.of(hull, t_s)

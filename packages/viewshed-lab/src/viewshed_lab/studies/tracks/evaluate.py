@@ -1,4 +1,4 @@
-"""One drive under one attack, tracked and fused with one field of view: what was found, and what it cost."""
+"""Evaluates one drive under one attack with one field of view: forged objects that are accused, and GOSPA."""
 
 from __future__ import annotations
 
@@ -20,50 +20,50 @@ from viewshed_lab.studies.tracks.drives import HZ, SEEN_FROM, Moment, ObjectsTru
 from viewshed_lab.threats.object_attacks import ForgedDetections, RunningAttack
 
 ATTACKED_FROM = round(2.0 * HZ)
-"""Sweep in which attacks begin; tracks are compared from then on."""
+"""First sweep of attacks; tracks are compared from it on."""
 
 FORGED_S = 1.0
-"""Objects that are forged for less than this are not counted."""
+"""Minimum duration of a forgery that counts."""
 
 WITHIN_S = 1.0
-"""A fabricated object is found in time if it is accused so soon after it is first forged."""
+"""A fabricated object is found in time if it is accused within this time of its first forgery."""
 
 RANGE_M = 50.0
-"""Objects and tracks farther from the sensor are not compared."""
+"""Maximum range of compared objects and tracks."""
 
 COUNTED_RETURNS, RECENT_S = 10, 3.0
-"""Objects count while they gave at least this number of returns at most this time ago."""
+"""An object counts if it had at least this number of returns within this time."""
 
 SURE = 0.9
-"""Removed objects count where they are visible with this probability."""
+"""Minimum visibility of removed objects that count."""
 
 KNOWN_HITS = 10
 """A removed object is known if a confirmed track of it had at least this number of detections before."""
 
 OCCLUDED_S = (0.3, 3.0)
-"""Shortest and longest occlusions that are counted."""
+"""Minimum and maximum duration of occlusions that count."""
 
 NEAR_M = 2.0
-"""A track is of an object within this distance of it."""
+"""Maximum distance between a track and its object."""
 
 
 @dataclass(slots=True)
 class Forgery:
-    """What became of one forged object."""
+    """Outcome of one forged object."""
 
-    first_s: float  # when it was first forged
-    last_s: float  # when it was last forged
-    sweeps: int = 0  # in how many sweeps it was
-    visible: list[float] = field(default_factory=list)  # probabilities with which it was visible in these sweeps
-    found_s: float = np.inf  # when it was first accused; infinite if never
-    # it was a confirmed track: one that was removed or moved for :data:`KNOWN_HITS` detections before that, a
-    # fabricated one at any time
+    first_s: float  # time of the first forgery
+    last_s: float  # time of the last forgery
+    sweeps: int = 0  # number of sweeps in which it was forged
+    visible: list[float] = field(default_factory=list)  # its visibility in these sweeps
+    found_s: float = np.inf  # time of the first accusation; infinite if never
+    # whether it had a confirmed track: a removed or moved object for :data:`KNOWN_HITS` detections before the forgery,
+    # a fabricated one at any time
     known: bool = False
-    highest: float = 0.0  # the most that spoke against it, as a part of the limit
-    alarmed: bool = False  # a monitor of the LiDAR suspected the sector in which it is
+    highest: float = 0.0  # maximum evidence against it, as a share of the limit
+    alarmed: bool = False  # whether a monitor of the LiDAR suspected its sector
 
     def row(self) -> list[float]:
-        """Return seconds until accused (-1 for never), visibility, and the rest, as plain numbers."""
+        """Return seconds until accused (-1 for never), mean visibility, ``known``, ``highest`` and ``alarmed``."""
         return [
             self.found_s - self.first_s if self.found_s < np.inf else -1.0, float(np.mean(self.visible or [1.0])),
             float(self.known), round(self.highest, 5), float(self.alarmed),
@@ -72,23 +72,23 @@ class Forgery:
 
 @dataclass(slots=True)
 class Outcome:
-    """What was found on one drive."""
+    """Outcome of one drive."""
 
     # ghosts, removed, moved: forged objects by number
     ghosts: dict[int, Forgery] = field(default_factory=dict)
     removed: dict[int, Forgery] = field(default_factory=dict)
     moved: dict[int, Forgery] = field(default_factory=dict)
-    # for each confirmed track of an honest object the most that spoke against it, as a part of the limit
+    # by confirmed track of an honest object: maximum evidence against it, as a share of the limit
     honest: dict[int, float] = field(default_factory=dict)
-    accused: set[int] = field(default_factory=set)  # the honest tracks that were accused
-    # tracked objects that were hidden for up to 3 s: whether each had another track when it came back
+    accused: set[int] = field(default_factory=set)  # accused honest tracks
+    # for each tracked object that was hidden for up to 3 s: whether it had another track when it came back
     occluded: list[bool] = field(default_factory=list)
-    gospa_m: list[tuple[float, float]] = field(default_factory=list)  # of each sweep without fusion and after it
-    # of each confirmed track and sweep, its existence after fusion and whether an object is there
+    gospa_m: list[tuple[float, float]] = field(default_factory=list)  # per sweep, without fusion and after it
+    # per confirmed track and sweep: existence after fusion, and whether an object is there
     calibration: list[tuple[float, bool]] = field(default_factory=list)
 
     def to_json(self) -> dict[str, Any]:
-        """Return what tables need as plain values: of each forged object seconds until accused, and what it was."""
+        """Return the outcome as plain values for tables; forged objects as rows of :meth:`Forgery.row`."""
         forgeries = {
             kind: [one.row() for one in getattr(self, kind).values() if one.sweeps >= FORGED_S * HZ]
             for kind in ("ghosts", "removed", "moved")
@@ -116,7 +116,7 @@ class TrackedMoment:
 def track_drive(
     moments: Sequence[Moment], fov: str, attack: RunningAttack | None = None, rules: Rules | None = None
 ) -> Iterator[TrackedMoment]:
-    """Yield the sweeps of a drive tracked with one field of view; an attack forges what the tracker is given."""
+    """Yield the sweeps of a drive tracked with one field of view; an attack forges the tracker's detections."""
     tracker = Tracker(rules)
     for moment in moments:
         forged = ForgedDetections.honest(moment.detections)
@@ -125,14 +125,14 @@ def track_drive(
         elif moment.ghost.any():
             forged = replace(forged, ghost=np.where(moment.ghost, 0, -1))
         view = moment.views[fov]
-        # What an attacker adds looks like the detections about it.
+        # A fabricated detection gets the tracker's own odds.
         odds = np.append(moment.false_odds, tracker.rules.false_odds)[forged.source]
         tracks = tracker.step(moment.t_s, forged.detections, view.view, false_odds=odds)
         yield TrackedMoment(moment, forged, (tracks, forged.detections, (view,)))
 
 
 def evaluate(tracked: Sequence[TrackedMoment], model: EvidenceModel) -> Outcome:
-    """Return what fusion finds on a drive."""
+    """Return the outcome of fusion on a drive."""
     fusion, outcome, last = SingleFusion(model), Outcome(), dict[int, tuple[str, int]]()
     returned: dict[int, float] = {}
     follower = _Follower()
@@ -148,24 +148,24 @@ def evaluate(tracked: Sequence[TrackedMoment], model: EvidenceModel) -> Outcome:
         tracks = one.observed[0]
         trusted = explained.trusted()
         both = (tracks.boxes[tracks.confirmed], trusted.boxes)
-        there = is_at_object(trusted.boxes, moment.truth)
-        outcome.calibration += zip(trusted.existence.tolist(), there.tolist(), strict=True)
+        is_true = is_at_object(trusted.boxes, moment.truth)
+        outcome.calibration += zip(trusted.existence.tolist(), is_true.tolist(), strict=True)
         before, after = (compare(boxes, moment, recent) for boxes in both)
         outcome.gospa_m.append((before, after))
     return outcome
 
 
 def is_at_object(boxes: F64, truth: ObjectsTruth) -> NDArray[np.bool_]:
-    """Return which boxes (N, 7) have an object within 2 m, or within a quarter of its length.
+    """Return the mask (N,) of boxes (N, 7) with an object within 2 m, or within a quarter of its length.
 
-    So the detector's own table counts: of a long vehicle only one end is seen.
+    The detector's own table uses the same rule, as only one end of a long vehicle is seen.
     """
-    apart = np.hypot(*(boxes[:, None, :2] - truth.boxes[None, :, :2]).transpose(2, 0, 1))
-    return np.asarray((apart <= np.maximum(NEAR_M, truth.boxes[:, 3] / 4)).any(axis=1))
+    distance_m = np.hypot(*(boxes[:, None, :2] - truth.boxes[None, :, :2]).transpose(2, 0, 1))
+    return np.asarray((distance_m <= np.maximum(NEAR_M, truth.boxes[:, 3] / 4)).any(axis=1))
 
 
 def tracks_of_objects(tracked: Iterable[TrackedMoment]) -> set[int]:
-    """Return the ids of the tracks most of whose detections are of objects."""
+    """Return the ids of the tracks with more detections of objects than false ones."""
     balance = dict[int, int]()
     for one in tracked:
         tracks = one.observed[0]
@@ -173,19 +173,19 @@ def tracks_of_objects(tracked: Iterable[TrackedMoment]) -> set[int]:
             is_object = one.moment.of_object[one.forged.source[tracks.detection[k]]] >= 0
             number = int(tracks.ids[k])
             balance[number] = balance.get(number, 0) + (1 if is_object else -1)
-    return {number for number, more in balance.items() if more > 0}
+    return {number for number, surplus in balance.items() if surplus > 0}
 
 
 def tracking_gospa_m(moments: Sequence[Moment], centers: Iterable[F64]) -> float:
-    """Return the mean GOSPA of a drive in meters, of the tracks (N, 2 or more) that are shown after each sweep."""
-    returned, found = dict[int, float](), list[float]()
-    for moment, shown in zip(moments, centers, strict=True):
-        found.append(compare(shown, moment, _returned_lately(moment, returned)))
-    return float(np.mean(found[ATTACKED_FROM:]))
+    """Return the mean GOSPA of a drive in meters, of tracks with centers (N, 2 or more) after each sweep."""
+    returned, gospa_m = dict[int, float](), list[float]()
+    for moment, tracks in zip(moments, centers, strict=True):
+        gospa_m.append(compare(tracks, moment, _returned_lately(moment, returned)))
+    return float(np.mean(gospa_m[ATTACKED_FROM:]))
 
 
 def _returned_lately(moment: Moment, returned: dict[int, float]) -> NDArray[np.bool_]:
-    """Return which objects (M,) gave enough returns lately, and note those that do now in ``returned``."""
+    """Return the mask (M,) of objects with enough returns lately; update their last times in ``returned``."""
     for number in moment.truth.numbers[moment.truth.returns >= COUNTED_RETURNS].tolist():
         returned[number] = moment.t_s
     return np.array([moment.t_s - returned.get(n, -np.inf) <= RECENT_S for n in moment.truth.numbers.tolist()], bool)
@@ -193,15 +193,15 @@ def _returned_lately(moment: Moment, returned: dict[int, float]) -> NDArray[np.b
 
 @dataclass(slots=True)
 class _Follower:
-    """Follows objects, whatever their tracks are."""
+    """Follows objects and the tracks that are matched with them."""
 
-    hits: dict[int, int] = field(default_factory=dict)  # sweeps in which a confirmed track was matched with each object
+    hits: dict[int, int] = field(default_factory=dict)  # by object: number of sweeps with a matched confirmed track
     _track: dict[int, int] = field(default_factory=dict)
     _seen_s: dict[int, float] = field(default_factory=dict)
     _was_hidden: set[int] = field(default_factory=set)
 
     def note(self, one: TrackedMoment, occluded: list[bool]) -> None:
-        """Take note of a sweep; add to ``occluded`` whether objects that come back have another track than before."""
+        """Process a sweep; append to ``occluded`` whether objects that come back have another track than before."""
         moment, tracks, t_s = one.moment, one.observed[0], one.moment.t_s
         hidden = moment.truth.numbers[moment.truth.returns < SEEN_FROM].tolist()
         self._was_hidden.update(number for number in hidden if number in self._track)
@@ -210,8 +210,8 @@ class _Follower:
             number = int(moment.of_object[one.forged.source[row]])
             if one.forged.ghost[row] >= 0 or number < 0:
                 continue
-            away_s = t_s - self._seen_s.get(number, t_s)
-            if number in self._was_hidden and OCCLUDED_S[0] <= away_s <= OCCLUDED_S[1]:
+            hidden_s = t_s - self._seen_s.get(number, t_s)
+            if number in self._was_hidden and OCCLUDED_S[0] <= hidden_s <= OCCLUDED_S[1]:
                 occluded.append(self._track[number] != int(tracks.ids[k]))
             self._was_hidden.discard(number)
             self._track[number], self._seen_s[number] = int(tracks.ids[k]), t_s
@@ -219,14 +219,14 @@ class _Follower:
 
 
 def compare(boxes: F64, moment: Moment, counted: NDArray[np.bool_]) -> float:
-    """Return GOSPA in meters of track boxes (N, 7) against the counted objects (M,) of a moment, both near the sensor.
+    """Return GOSPA in meters of track boxes (N, 7) against the objects in the mask ``counted`` (M,), within RANGE_M.
 
-    A track at an object that does not count is neither right nor false.
+    A track at an object that does not count is ignored.
     """
     xy = boxes[:, :2]
-    apart = np.hypot(*(xy[:, None] - moment.truth.boxes[None, :, :2]).transpose(2, 0, 1))
-    nearest = apart.argmin(axis=1)
-    ignored = (apart[np.arange(len(xy)), nearest] <= NEAR_M) & ~counted[nearest]
+    distance_m = np.hypot(*(xy[:, None] - moment.truth.boxes[None, :, :2]).transpose(2, 0, 1))
+    nearest = distance_m.argmin(axis=1)
+    ignored = (distance_m[np.arange(len(xy)), nearest] <= NEAR_M) & ~counted[nearest]
     near = np.hypot(*(xy - moment.ground[:2]).T) < RANGE_M
     truth = moment.truth.boxes[counted, :2]
     truth = truth[np.hypot(*(truth - moment.ground[:2]).T) < RANGE_M]
@@ -234,7 +234,7 @@ def compare(boxes: F64, moment: Moment, counted: NDArray[np.bool_]) -> float:
 
 
 def _note_forgeries(outcome: Outcome, moment: Moment, forged: ForgedDetections, follower: _Follower) -> None:
-    """Take note of which objects are forged in a sweep."""
+    """Record the forged objects of a sweep."""
     t_s = moment.t_s
     visible = dict(zip(moment.truth.numbers.tolist(), moment.visible.tolist(), strict=True))
 
@@ -257,7 +257,7 @@ def _note_forgeries(outcome: Outcome, moment: Moment, forged: ForgedDetections, 
 def _note_accusations(
     outcome: Outcome, one: TrackedMoment, explained: ExplainedTracks, last: dict[int, tuple[str, int]], limits: F64
 ) -> None:
-    """Take note of which tracks are accused, by what their last detection was."""
+    """Record the accused tracks of a sweep, by the kind of their last detection: ghost, moved or honest."""
     moment, forged, tracks = one.moment, one.forged, explained.tracks
     against = (explained.wealth / limits).max(axis=1, initial=0.0)
     for k, number in enumerate(tracks.ids.tolist()):
@@ -288,7 +288,7 @@ def _note_accusations(
 
 
 def _note_alarms(outcome: Outcome, one: TrackedMoment) -> None:
-    """Take note of which forged objects are in sectors that the monitor suspects."""
+    """Record the forged objects in sectors that the monitor suspects."""
     moment, forged = one.moment, one.forged
     view = replace(one.observed[2][0], report=moment.report)
     for row, is_alarmed in enumerate(view.alarmed(forged.detections.boxes).tolist()):

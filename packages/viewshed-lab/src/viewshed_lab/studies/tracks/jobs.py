@@ -1,4 +1,4 @@
-"""The jobs of the study: each simulates one drive once, and tries every field of view and every attack on it."""
+"""The jobs of the study of tracks: one per drive, with every field of view and every attack."""
 
 from __future__ import annotations
 
@@ -27,15 +27,15 @@ from viewshed_lab.studies.tracks.stone_soup import stone_soup_centers
 from viewshed_lab.threats.object_attacks import OBJECT_ATTACKS
 
 COASTING_S = (0.5, 1.0, 2.0, 3.0, 5.0)
-"""Coasting times that the published rules and Stone Soup are tried with; each is tested with its best."""
+"""Coasting times to try for the published rules and Stone Soup; each is tested with its best."""
 
 LIDAR_FOVS = ("none", "published", "default")
-"""Fields of view that look at forged sweeps."""
+"""Fields of view that are tested on forged sweeps."""
 
 RULES = ExistenceRules()
 
 PUBLISHED, STONE_SOUP = "published", "stone_soup"
-"""The field of view whose tracks the published rules make; Stone Soup, which has none."""
+"""The field of view whose tracker has the published rules; Stone Soup, which has no field of view."""
 
 
 def run_study(
@@ -44,20 +44,20 @@ def run_study(
     steps: tuple[str, ...] = STEPS,
     on_progress: Progress = lambda *_: None,
 ) -> Iterator[str]:
-    """Do what is not there yet in some of ``STEPS``; yield one line for each job that failed."""
+    """Run the unfinished jobs of some of ``STEPS``; yield one line for each failed job."""
     check_names("only", steps, STEPS)
     plan = store.plan
     before = {"count": (), "limit": ("count",), "test": ("count", "limit"), "lidar": ("count", "limit")}
     for step, earlier in before.items():
         if step not in steps:
             continue
-        needed = {key for each in earlier for key in plan.drive_keys(each)}
+        needed = {key for other in earlier for key in plan.drive_keys(other)}
         missing = lacking(needed, "drives that it rests on are not done")
         yield from run_jobs(store, do_job, plan.drive_keys(step), engine, on_progress, step=step, missing=missing)
 
 
 def do_job(job: Job[TracksPlan]) -> JobResult:
-    """Simulate a drive, and count, take the highest e-values, or attack it."""
+    """Simulate a drive; count its evidence, take its highest e-values, or attack it, by step."""
     step, number = job.key[0], job.key[3]
     plan, facts = job.plan, dict[str, Any]()
     forger, fovs = None, plan.fovs
@@ -94,11 +94,11 @@ def do_job(job: Job[TracksPlan]) -> JobResult:
 
 
 def _try(job: Job[TracksPlan], moments: Sequence[Moment], fov: str, case: str) -> dict[str, Any]:
-    """Return what became of a drive in a case with a field of view, as plain values."""
+    """Return the outcome of a drive in a case with a field of view, as plain values."""
     plan, attack = job.plan, None
     if case != BENIGN_CASE:
-        chosen = OBJECT_ATTACKS[case](counts="exact", mean_count=float(plan.objects))
-        attack = chosen.begin(generator(plan.seed, *job.key, case))
+        parameters = OBJECT_ATTACKS[case](counts="exact", mean_count=float(plan.objects))
+        attack = parameters.begin(generator(plan.seed, *job.key, case))
     tracked = list(track_drive(moments, fov, attack, rules_of(job.folder, plan, fov)))
     return evaluate(tracked, model_of(job.folder, plan, fov)).to_json()
 
@@ -113,27 +113,27 @@ def _gospa_by_coasting(moments: Sequence[Moment]) -> list[float]:
 
 
 @lru_cache(maxsize=2)
-def _found(folder: Path, plan: TracksPlan, step: str) -> list[dict[str, Any]]:
-    """Return what each drive of a finished step gave."""
+def _facts_of(folder: Path, plan: TracksPlan, step: str) -> list[dict[str, Any]]:
+    """Return the facts of each drive of a finished step."""
     return list(ResultStore(folder, plan).results(step).facts.values())
 
 
 def best_coasting_s(folder: Path, plan: TracksPlan, tracker: str) -> float:
-    """Return the coasting time with which a reference tracker was best on the drives that were counted."""
-    by_drive = [one["coasting"][tracker] for one in _found(folder, plan, "count")]
+    """Return the coasting time with the best GOSPA of a reference tracker on the drives of step ``count``."""
+    by_drive = [one["coasting"][tracker] for one in _facts_of(folder, plan, "count")]
     return COASTING_S[int(np.mean(by_drive, axis=0).argmin())]
 
 
 def rules_of(folder: Path, plan: TracksPlan, fov: str) -> Rules:
-    """Return the rules of a tracker: the published ones with the coasting time that was best on other drives."""
+    """Return the rules of a tracker; the published ones have the coasting time that was best on other drives."""
     return PublishedRules(coast_s=best_coasting_s(folder, plan, fov)) if fov == PUBLISHED else RULES
 
 
 @lru_cache(maxsize=8)
 def _without_limits(folder: Path, plan: TracksPlan, fov: str) -> EvidenceModel:
-    """Return the tables of a field of view from the drives that were counted."""
+    """Return the model of a field of view from the counts of step ``count``, without limits."""
     counts = EvidenceCounts()
-    for one in _found(folder, plan, "count"):
+    for one in _facts_of(folder, plan, "count"):
         counts.add_arrays({name: np.array(values) for name, values in one[fov].items()})
     return model_of_counts(counts, plan.accused)
 
@@ -143,8 +143,8 @@ def model_of(folder: Path, plan: TracksPlan, fov: str) -> EvidenceModel:
     """Return the calibrated model of a field of view.
 
     Raises:
-        ValueError: too few honest tracks were seen for the share that may be accused.
+        ValueError: there are too few honest tracks for the share that may be accused.
     """
-    every = np.array([values for one in _found(folder, plan, "limit") for values in one[fov]]).reshape(-1, 3)
+    highest = np.array([values for one in _facts_of(folder, plan, "limit") for values in one[fov]]).reshape(-1, 3)
     model = _without_limits(folder, plan, fov)
-    return replace(model, limits=limits_of(every, plan.accused), tracks=len(every))
+    return replace(model, limits=limits_of(highest, plan.accused), tracks=len(highest))

@@ -20,10 +20,10 @@ FORGED_FROM_S = 2.0
 """Seconds from the first sweep to the attack."""
 
 GHOST_RANGE_M = (8.0, 20.0)
-"""Where ghost cars are: they drive along with the vehicle."""
+"""Minimum and maximum range of ghost cars, which move with the vehicle."""
 
 VICTIM_RETURNS, VICTIM_WITHIN_M = 30, 25.0
-"""Objects that are made to vanish give at least this number of returns, within this range, when the attack begins."""
+"""Minimum number of returns and maximum range, at the start of the attack, of objects that are made to vanish."""
 
 _SECTOR_DEG = 30.0
 
@@ -35,20 +35,20 @@ _ON_OBJECTS: dict[str, Callable[[float], Attack]] = {
 }
 
 LIDAR_ATTACKS = (*_GHOSTS, *_ON_OBJECTS)
-"""Names of ``viewshed_lab.threats.attacks.ATTACKS``: an object appears, by a measured spoofer or by one without noise;
-one vanishes into nothing; one into open street."""
+"""Names of ``viewshed_lab.threats.attacks.ATTACKS``: an object appears, by a measured or a noiseless spoofer; an object
+vanishes without a return, or is replaced by open street."""
 
 
 @dataclass(slots=True)
 class SweepForger:
-    """Forges the sweeps of one drive: one ghost that drives along, or one object that is followed.
+    """Forges the sweeps of one drive: adds one ghost that moves along, or removes one object and tracks it.
 
     Raises:
         ValueError: there is no such attack.
     """
 
     name: str  # of ``LIDAR_ATTACKS``
-    rng: np.random.Generator  # draws all that is random
+    rng: np.random.Generator  # source of all random draws
     _victim: int = field(default=-1, repr=False)
     _ghost: GhostCar | None = field(default=None, repr=False)
 
@@ -59,14 +59,14 @@ class SweepForger:
     def apply(
         self, sweep: Sweep, t_s: float, numbers: NDArray[np.int32], boxes: F64, returns: NDArray[np.int32]
     ) -> Tampered:
-        """Return the next sweep as the attacker lets the vehicle see it.
+        """Return the next sweep under attack.
 
         Args:
-            sweep: the clean one, with its pose.
-            t_s: since the beginning of the drive.
-            numbers: (N,) of the objects.
-            boxes: (N, 7) of them, in the world.
-            returns: (N,) that each gave.
+            sweep: the clean sweep, with its pose.
+            t_s: time since the start of the drive.
+            numbers: (N,) ids of the objects.
+            boxes: (N, 7) boxes of the objects in the world.
+            returns: (N,) number of returns of each object.
         """
         untouched = Tampered(sweep, np.zeros(len(sweep), np.bool_), np.zeros(len(sweep), np.bool_))
         if t_s < FORGED_FROM_S - 1e-9 or sweep.world_from_sensor is None:
@@ -88,7 +88,7 @@ class SweepForger:
         return _ON_OBJECTS[self.name](float(np.arctan2(y_m, x_m))).apply(sweep, self.rng)
 
     def ghost_at(self, sweep: Sweep) -> F64 | None:
-        """Return the place (2,) of the ghost in the world, None where there is none."""
+        """Return the place (2,) of the ghost in the world, None without a ghost."""
         if self._ghost is None or self._ghost.azimuth is None or sweep.world_from_sensor is None:
             return None
         range_m, azimuth = self._ghost.range_m, self._ghost.azimuth

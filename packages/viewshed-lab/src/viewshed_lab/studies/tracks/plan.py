@@ -1,4 +1,4 @@
-"""What the study of tracks runs: drives that evidence is counted on, that limits are from, and that are attacked."""
+"""Plan of the study of tracks: drives for counting evidence, for setting limits, and for attacks."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ from viewshed_lab.studies.tracks.lidar_level import LIDAR_ATTACKS
 from viewshed_lab.threats.object_attacks import OBJECT_ATTACKS
 
 STEPS = ("count", "limit", "test", "lidar", "page")
-"""Count evidence, take limits, attack detections, attack sweeps, write the page: no drive is in two of the first three.
-Sweeps are attacked on the drives of ``test``."""
+"""Count evidence, set limits, attack detections, attack sweeps, write the page. The first three share no drive; sweeps
+are attacked on the drives of ``test``."""
 
 BENIGN_CASE = "benign"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TracksPlan(Plan):
-    """The study of tracks and of trust in them.
+    """Plan of the study of tracks and of trust in them.
 
     Raises:
-        ValueError: a name is not known or a number is out of range.
+        ValueError: a name is unknown or a number is out of range.
     """
 
     FOLDER: ClassVar[str] = "studies/tracks/plans"
@@ -41,21 +41,21 @@ class TracksPlan(Plan):
 
     name: str
     about: str
-    preset: str  # of simulated data whose mounting the sensors have
+    preset: str  # of simulated data, for the mounting of the sensors
     worlds: tuple[str, ...]  # kinds of world, in turn
     sensors: tuple[str, ...]  # beam tables
     conditions: tuple[str, ...]  # weather
     fovs: tuple[str, ...]  # fields of view, of ``FOVS``
     attacks: tuple[str, ...]  # names of ``OBJECT_ATTACKS``
     lidar_attacks: tuple[str, ...]  # names of ``LIDAR_ATTACKS``
-    objects: int  # that are forged at a time
-    seconds: float  # of a drive; attacks begin after two
-    count: int  # drives that evidence is counted on
-    limit: int  # drives that limits are from
-    test: int  # drives that are attacked, of each sensor and weather
-    lidar: int  # of these, those whose sweeps are attacked as well
-    accused: float  # share of honest tracks that are accused
-    seed: int  # of all that is random
+    objects: int  # number of objects forged at a time
+    seconds: float  # duration of a drive; attacks begin after two
+    count: int  # number of drives for counting evidence
+    limit: int  # number of drives for setting limits
+    test: int  # number of attacked drives per sensor and weather
+    lidar: int  # number of these whose sweeps are attacked as well
+    accused: float  # target share of honest tracks that are accused
+    seed: int  # of all random draws
 
     def __post_init__(self) -> None:
         check_names("preset", (self.preset,), preset_names())
@@ -74,11 +74,11 @@ class TracksPlan(Plan):
             raise ValueError(f"seconds must lie in [1, 600], got {self.seconds}")
 
     def job_keys(self) -> list[JobKey]:
-        """Return the names of all jobs: one a drive."""
+        """Return the keys of all jobs: one per drive."""
         return [key for step in STEPS[:-1] for key in self.drive_keys(step)]
 
     def drive_keys(self, step: str) -> list[JobKey]:
-        """Return the drives of a step by name: step, sensor, weather, number, and the attack on sweeps."""
+        """Return the keys of a step's drives: step, sensor, weather, number, and the attack on sweeps if any."""
         places = [(sensor, weather) for sensor in self.sensors for weather in self.conditions]
         if step in ("count", "limit"):
             return [(step, *places[n % len(places)], str(n)) for n in range(getattr(self, step))]
@@ -88,7 +88,7 @@ class TracksPlan(Plan):
         return tested if step == "test" else [(*drive, attack) for attack in self.lidar_attacks for drive in tested]
 
     def scene(self, key: JobKey) -> ScenePlan:
-        """Return the scene of a drive: a world of its own."""
+        """Return the scene of a drive; each drive has its own world."""
         step, sensor, weather, number = key[:4]
         first = {"count": 0, "limit": self.count}.get(step, self.count + self.limit)
         place = first + int(number)
@@ -99,5 +99,5 @@ class TracksPlan(Plan):
         return replace(scene, preset=replace(scene.preset, sensors=(sensor,), conditions=(weather,)))
 
     def cases(self) -> tuple[str, ...]:
-        """Return what is done to each test drive: nothing, then each attack."""
+        """Return the cases of each test drive: benign, then each attack."""
         return (BENIGN_CASE, *self.attacks)

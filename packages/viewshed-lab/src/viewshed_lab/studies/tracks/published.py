@@ -1,12 +1,11 @@
-"""The published rule (avstack's box tracker), bug and all: the baseline that a tracker with a field of view must beat.
+"""The published rule (avstack's box tracker) including its bug: the baseline of trackers with a field of view.
 
-Its code is public. A track that was not matched is missed if the polygon covers its center: then it is "observable".
-Where the polygon covers none of the tracks, the list of observable ones is empty, is taken for one that was not given,
-and **all** tracks are missed. A track ends after too many misses in a row, or when nothing was matched for too long,
-seen or hidden. Each detection that is left over begins a track.
+Its code is public. An unmatched track counts as missed if the polygon covers its center ("observable"). If the polygon
+covers none of the tracks, the list of observable tracks is empty, which the code treats as not given, and **all** of
+them count as missed. A track ends after too many consecutive misses, or after too long without a match, visible or
+hidden. Each unmatched detection starts a track.
 
-Not taken over: the velocity of z, and the score that a later version of its code keeps beside the counts and that
-misses improve.
+Left out: the velocity along z, and the score of a later version of its code, which misses improve.
 """
 
 from __future__ import annotations
@@ -28,26 +27,26 @@ PUBLISHED_MOTION = Motion(
     center_std_m=1.0, box_drift=(2.0, 0.2, 0.2, 0.2, 10.0), box_std=(1.0, 0.25, 0.25, 0.25, 0.01),
     new_box_std=(5.0, 2.0, 2.0, 2.0, 5.0), heading_from_mps=np.inf,
 )  # fmt: skip
-"""Its numbers; yaw is that of the last detection."""
+"""Its published parameters; yaw is that of the last detection."""
 
 
 @dataclass(frozen=True, slots=True)
 class PublishedRules:
-    """A track is kept by counts of hits and of misses."""
+    """Tracks are kept by their counts of hits and misses."""
 
-    motion: Motion = PUBLISHED_MOTION  # how objects move and are measured
-    # what is compared: ``overlap`` is the intersection over union of boxes, ``center`` the distance of centers
+    motion: Motion = PUBLISHED_MOTION  # motion and measurement noise
+    # matching by ``overlap`` (intersection over union of boxes) or ``center`` (distance of centers)
     cost: Literal["overlap", "center"] = "overlap"
-    least_overlap: float = 0.10  # intersection over union below which no detection is of a track
-    radius_m: float = 4.0  # distance beyond which no detection is of a track
-    confirm_updates: int = 3  # detections from which on a track is confirmed
-    coast_s: float = 3.0  # a track ends when nothing was matched with it for this time
-    most_misses: int = 6  # a track ends after more misses than this in a row
-    duplicate_m: float = 1.0  # of tracks nearer to each other than this the one with most detections is kept
-    fastest_mps: float = 60.0  # faster tracks end
-    # False is the published bug: a view that covers no track counts as one that covers all
+    least_overlap: float = 0.10  # minimum intersection over union of a match
+    radius_m: float = 4.0  # maximum distance of a match
+    confirm_updates: int = 3  # number of detections that confirm a track
+    coast_s: float = 3.0  # maximum time without a match
+    most_misses: int = 6  # maximum number of consecutive misses
+    duplicate_m: float = 1.0  # of tracks nearer to each other than this, the one with the most detections is kept
+    fastest_mps: float = 60.0  # maximum speed
+    # False keeps the published bug: a view that covers no track counts as one that covers all
     repairs_empty_view: bool = False
-    false_odds: float = 1.0  # is not used
+    false_odds: float = 1.0  # not used
 
     def __post_init__(self) -> None:
         if self.cost not in ("overlap", "center"):
@@ -57,17 +56,17 @@ class PublishedRules:
                 raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
 
     def look(self, tracks: TrackTable, view: View, dt_s: float) -> None:
-        """Ask the view whether it covers each track: more likely than not is yes."""
+        """Set whether the view covers each track: with a probability of at least .5."""
         tracks.visible = np.asarray(view.visible(tracks.boxes) >= 0.5, np.float64)
         if not tracks.visible.any() and not self.repairs_empty_view:
             tracks.visible = np.ones(len(tracks))
         tracks.detectable = np.ones(len(tracks))
 
     def match(self, tracks: TrackTable, measured: Measured) -> NDArray[np.int32]:
-        """Return the assignment of greatest overlap, or of least distance."""
+        """Return the assignment of maximum overlap or minimum distance."""
         if self.cost == "overlap":
-            shared = volume_overlaps(tracks.boxes, measured.boxes)
-            return assign(np.where(shared > self.least_overlap, shared, 0.0))
+            overlap = volume_overlaps(tracks.boxes, measured.boxes)
+            return assign(np.where(overlap > self.least_overlap, overlap, 0.0))
         off = tracks.boxes[:, None, :2] - measured.boxes[None, :, :2]
         return assign(self.radius_m - np.hypot(off[..., 0], off[..., 1]))
 
@@ -78,11 +77,11 @@ class PublishedRules:
     def begin(
         self, born: TrackTable, measured: Measured, tracks: TrackTable, view: View, before: View | None
     ) -> TrackTable:
-        """Return all: each detection that is left begins a track."""
+        """Return all new tracks: each unmatched detection starts one."""
         return born
 
     def keep(self, tracks: TrackTable, t_s: float) -> NDArray[np.bool_]:
-        """Keep what was matched lately and not missed too often, and of close tracks the one with most detections."""
+        """Keep tracks matched lately and not missed too often; of close ones the one with the most detections."""
         tracks.confirmed = tracks.updates >= self.confirm_updates
         kept = (t_s - tracks.seen_s < self.coast_s) & (tracks.misses <= self.most_misses)
         kept &= np.hypot(tracks.states[:, 2], tracks.states[:, 3]) <= self.fastest_mps
@@ -99,14 +98,14 @@ class PublishedRules:
 def published_ospa(tracks: F64, truths: F64) -> float:
     """Return what the published evaluation calls OSPA, as its code computes it from x, y and z; it is not OSPA.
 
-    With cutoff and order 1: the mean over the larger set, plus the *difference of the numbers* outside of the mean. So
-    each false track adds more than one whole unit, and five among ten score 5.45 where OSPA is at most 1.
+    With cutoff and order 1: the mean over the larger set, plus the *difference of the set sizes* outside of the mean.
+    So each false track adds more than 1, and five among ten score 5.45 where OSPA is at most 1.
     """
-    apart = np.linalg.norm(tracks[:, None, :3] - truths[None, :, :3], axis=2)
-    more, fewer = max(apart.shape), min(apart.shape)
-    if more == 0:
+    distance_m = np.linalg.norm(tracks[:, None, :3] - truths[None, :, :3], axis=2)
+    larger, smaller = max(distance_m.shape), min(distance_m.shape)
+    if larger == 0:
         return 0.0
-    rows, columns = assignment_solver()(np.where(apart < 1.0, apart, 1e8))
-    is_pair = apart[rows, columns] < 1.0
-    alone = more - int(is_pair.sum())
-    return float((apart[rows, columns][is_pair].sum() + alone) / more + (more - fewer))
+    rows, columns = assignment_solver()(np.where(distance_m < 1.0, distance_m, 1e8))
+    is_pair = distance_m[rows, columns] < 1.0
+    unmatched = larger - int(is_pair.sum())
+    return float((distance_m[rows, columns][is_pair].sum() + unmatched) / larger + (larger - smaller))

@@ -1,4 +1,4 @@
-"""Stone Soup's tracker on the same detections: what a good tracker without a field of view does."""
+"""Stone Soup's tracker on the same detections: the baseline of a good tracker without a field of view."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from viewshed.detections import Detections
 from viewshed.objects.tracker import MOTION
 
 COAST_S, CONFIRM_UPDATES, GATE = 1.0, 3, 3.7
-"""Seconds that a track lives without a detection, detections that confirm it, and the gate in standard deviations that
-leaves out one in a thousand, as ours does."""
+"""Coasting time of a track, number of detections that confirm it, and gate in standard deviations, which excludes one
+in a thousand like ours."""
 
 _START = datetime(2026, 1, 1)
 
@@ -25,8 +25,8 @@ def stone_soup_centers(sweeps: Sequence[tuple[float, Detections]], coast_s: floa
     Errors of centers and of motion are those of our tracker (``MOTION``).
 
     Args:
-        sweeps: time in seconds, ascending, and detections of each.
-        coast_s: a track ends when nothing was matched with it for this time.
+        sweeps: time in seconds (ascending) and detections of each sweep.
+        coast_s: a track ends after this time without a matched detection.
 
     Raises:
         ImportError: Stone Soup is not installed.
@@ -53,10 +53,10 @@ def stone_soup_centers(sweeps: Sequence[tuple[float, Detections]], coast_s: floa
     initiator = MultiMeasurementInitiator(
         prior, deleter, associator, updater, measurement_model=measured, min_points=CONFIRM_UPDATES
     )
-    given = []
+    timed = []
     for t_s, detections in sweeps:
         now = _START + timedelta(seconds=t_s)
-        given.append((now, {Detection(xy[:, None], timestamp=now) for xy in detections.boxes[:, :2]}))
-    tracker = MultiTargetTracker(initiator, deleter, given, associator, updater)
+        timed.append((now, {Detection(xy[:, None], timestamp=now) for xy in detections.boxes[:, :2]}))
+    tracker = MultiTargetTracker(initiator, deleter, timed, associator, updater)
     return [np.array([track.state_vector[[0, 2], 0] for track in tracks], np.float64).reshape(-1, 2)
             for _, tracks in tracker]  # fmt: skip

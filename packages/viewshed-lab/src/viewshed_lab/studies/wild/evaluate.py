@@ -1,20 +1,19 @@
-"""What is counted of one estimate against the exact truth and the exact ground, and the ladder of exact knowledge.
+"""Evaluates estimates against exact truth and exact ground, and the shadow map with a ladder of exact knowledge.
 
-A row says whose it is (set, domain, scene, sweep; style, sensor and mounting; what was given, target, method), counts
-the claims over the cells whose truth is known (the fields of ``ConfusionCounts``, and ``bins``: 150 × 3, by bin of
-probability cells, visible cells and sum of probabilities), and has further figures. Areas are in square meters, over
-cells whose truth is known:
+A row has keys (set, domain, scene, sweep; style, sensor and mounting; given data, target, method), counts over the
+cells with known truth (the fields of ``ConfusionCounts``, and ``bins``: 150 × 3, by bin of probability: cells, visible
+cells and sum of probabilities), and further figures. Areas are in square meters, over cells with known truth:
 
-- ``flat``: 1 where 95 % of the ground within half of the grid's extent lies within 1 m of that below the sensor.
-- ``auroc``, ``aurc``: of the doubt for errors (1 is perfect; 0 is); ``auroc_std``: of the deviation, where there is
+- ``flat``: 1 if 95 % of the ground within half of the grid's extent is within 1 m of that below the sensor.
+- ``auroc``, ``aurc``: of doubt as a predictor of errors (best: 1; 0); ``auroc_std``: of the deviation, if there is
   one. Cells at which fewer than ``min_returns`` beams aim are left out.
-- ``clear_both``, ``clear_over``, ``clear_under``: cells whose true number of returns is more than 2 off
-  ``min_returns``, by who calls them visible: both, only the estimate, only the truth.
+- ``clear_both``, ``clear_over``, ``clear_under``: cells whose true number of returns differs from ``min_returns`` by
+  more than 2, called visible by both, only the estimate, only the truth.
 - ``known_m2``, ``claimed_m2``, ``beyond_m2``, ``beyond_reach_m2``: all; claimed; claimed beyond the sensor's maximum
-  range; beyond the range at which it detects a target of 10 % every second time.
-- ``off_m2``, ``off_sure_m2``: where the estimated ground is off by more than 1 m; of that, claimed with p ≥ 0.8.
+  range; claimed beyond the range at which it detects a target of 10 % every second time.
+- ``off_m2``, ``off_sure_m2``: estimated ground wrong by more than 1 m; of that, claimed with p ≥ 0.8.
 - ``unaimed``, ``unaimed_hidden``: cells at which fewer than ``min_returns`` beams aim; of those, called HIDDEN.
-- ``height_error_m``: of the sensor above the ground, estimated less exact.
+- ``height_error_m``: height of the sensor above the ground, estimated minus exact.
 """
 
 from __future__ import annotations
@@ -47,7 +46,7 @@ AS_GIVEN = "shadow_map"
 
 LADDER = ("+ exact rings and beams' table", "+ exact height and attitude", "+ exact ground", "exact ends of all beams",
           "all of it: the counting kernel alone")  # fmt: skip
-"""What the shadow map is given: the first three add up; the fourth has the ground that was given; the last has all."""
+"""Exact knowledge of the shadow map: the first three are cumulative; the fourth has estimated ground; the last all."""
 
 
 def rows_of(seen: WildObservation, plan: WildPlan) -> Iterator[Row]:
@@ -61,14 +60,14 @@ def rows_of(seen: WildObservation, plan: WildPlan) -> Iterator[Row]:
                 estimator = estimator_named(method, seen.scene.domain.name, target)
                 if estimator is not None:
                     yield row_of(seen, sample, estimator.estimate(leveled), leveled, name)
-    # A base frame whose offset is not given has no exact beams from its own origin: no ladder there.
+    # No ladder in a base frame: its offset is unknown, so there are no exact beams from its origin.
     if plan.ladder and seen.mounting.family.frame != "base":
         for target in plan.targets:
             yield from _ladder(seen, TARGETS[target])
 
 
 def row_of(seen: WildObservation, sample: WildSample, estimate: FovEstimate, leveled: LeveledSweep, method: str) -> Row:
-    """Return what is counted of an estimate from a sample of a sweep; the ground of ``leveled`` is judged as well."""
+    """Return the row of an estimate from a sample of a sweep; this also compares the ground of ``leveled``."""
     grid, target, reach_m = seen.truth.grid, estimate.target, reach_of(seen)
     range_m, max_range_m = polar_of_cells(grid)[0], seen.sensor.model.max_range_m
     known = seen.known & (range_m <= reach_m)
@@ -85,7 +84,7 @@ def row_of(seen: WildObservation, sample: WildSample, estimate: FovEstimate, lev
     gap = np.abs(seen.truth.expected_returns[target.name].astype(np.int16) - target.min_returns)
     clear = ConfusionCounts.of(claimed, true, known & (gap > CLEAR), grid.cell_area_m2)
     numbers |= {f"clear_{name}": float(getattr(clear, name)) for name in ("both", "over", "under")}
-    # Areas: beyond what the sensor can reach, and over ground that was taken to be elsewhere.
+    # Areas: beyond the sensor's reach, and over wrongly estimated ground.
     off = known & (np.abs(ground_error_m(leveled, sample)) > OFF_M)
     areas = {
         "known_m2": known, "claimed_m2": seen.known & claimed,
@@ -107,31 +106,32 @@ def row_of(seen: WildObservation, sample: WildSample, estimate: FovEstimate, lev
 
 
 def reach_of(seen: WildObservation) -> float:
-    """Return the range in meters beyond which no cell is scored: there the sensor sees no dark target."""
+    """Return the maximum range in meters of scored cells: farther away the sensor does not detect dark targets."""
     model = seen.sensor.model
     return min(optics_of(model).reach_m, model.max_range_m)
 
 
 def ground_error_m(leveled: LeveledSweep, sample: WildSample) -> NDArray[np.float64]:
-    """Return (cells, cells) meters by which the estimated ground lies above the exact one, at the estimate's cells.
+    """Return the estimated minus the exact ground height (cells, cells) in meters, at the estimate's cells.
 
-    Both as seen by the points: where the estimated attitude is off, ground that follows the returns is not.
+    The estimated ground is rotated into the exact level frame first: with a wrong attitude, ground that follows the
+    returns counts as correct.
     """
     grid = sample.truth.grid
-    # The estimated surface below each cell, from the origin of the points, turned into the exact level frame.
+    # The estimated surface below each cell, relative to the origin of the points, in the exact level frame.
     z = leveled.ground.at(grid.centers) - leveled.sensor_height_m
     surface = np.concatenate([grid.centers, z[..., None]], axis=-1)
     turn = rotation_from_quaternion(sample.attitude) @ leveled.level_from_sensor.rotation.T
-    there = surface @ turn.T
-    # The exact ground where that lies; at the rim of the grid that of the nearest cell.
-    cells = np.floor((there[..., :2] - grid.origin_m) / grid.cell_m).astype(np.intp).clip(0, grid.cells - 1)
+    turned = surface @ turn.T
+    # The exact ground there; outside the grid that of the nearest cell.
+    cells = np.floor((turned[..., :2] - grid.origin_m) / grid.cell_m).astype(np.intp).clip(0, grid.cells - 1)
     exact = sample.ground_m[cells[..., 0], cells[..., 1]] - sample.origin_height_m
-    error: NDArray[np.float64] = there[..., 2] - exact
+    error: NDArray[np.float64] = turned[..., 2] - exact
     return error
 
 
 def _ladder(seen: WildObservation, target: Target) -> Iterator[Row]:
-    """Yield the shadow map's rows with more and more of what a sweep does not tell."""
+    """Yield the shadow map's rows with more and more exact knowledge."""
     grid, sample = seen.truth.grid, seen.sample("rings")
     exact_height, exact_ground = sample.origin_height_m, sample.exact_ground
     as_given = level(sample.sweep, grid)
@@ -142,7 +142,7 @@ def _ladder(seen: WildObservation, target: Target) -> Iterator[Row]:
     estimator = ShadowMap(grid, target)
     for name, leveled in zip(LADDER, steps, strict=False):
         yield row_of(seen, sample, estimator.estimate(leveled), leveled, name)
-    # Every beam to where it really ended, over the ground as it was estimated, and over the exact one.
+    # Every beam to its exact end, over the estimated ground and over the exact one.
     beams = exact_beams(seen)
     for name, leveled in zip(LADDER[3:], (as_given, steps[2]), strict=True):
         counts, aimed = expected_returns(beams, leveled.sensor_height_m, leveled.ground, grid, target)
@@ -150,7 +150,7 @@ def _ladder(seen: WildObservation, target: Target) -> Iterator[Row]:
 
 
 def exact_beams(seen: WildObservation) -> Beams:
-    """Return every beam that was fired but those on the own vehicle, up to its stop or its maximum range."""
+    """Return every fired beam that does not hit the own vehicle, up to its end or the maximum range."""
     scan = seen.scan
     keep = scan.thing != seen.agent.carrier
     if scan.model.fired is not None:
@@ -165,7 +165,7 @@ def exact_beams(seen: WildObservation) -> Beams:
 
 
 def _counted(returns: NDArray[np.float32], aimed: NDArray[np.float32], grid: BevGrid, target: Target) -> FovEstimate:
-    """Return the estimate of counted returns (cells, cells), by the rule of the shadow map."""
+    """Return the estimate from expected returns (cells, cells), by the rule of the shadow map."""
     prob = probability_of_visible(returns, target.min_returns)
     enough = probability_of_visible(aimed, target.min_returns) >= 0.5
     state = np.where(enough, np.uint8(CellState.HIDDEN), np.uint8(CellState.UNKNOWN))
@@ -183,18 +183,18 @@ def estimator_named(method: str, grid: str, target: str) -> Estimator | None:
 
 
 def _is_flat(sample: WildSample) -> bool:
-    """Return whether 95 % of the ground within half of the grid's extent lies within 1 m of that below the sensor."""
+    """Return whether 95 % of the ground within half of the grid's extent is within 1 m of that below the sensor."""
     near = sample.known & (polar_of_cells(sample.truth.grid)[0] <= sample.truth.grid.half_extent_m / 2)
     return bool(near.any() and (np.abs(sample.ground_m[near]) <= FLAT_M).mean() >= 0.95)
 
 
 def _auroc(doubt: NDArray[np.float32], wrong: NDArray[np.bool_]) -> float:
-    """Return the AUROC of doubts (K,) for errors (K,); NaN where all are right, or all wrong."""
+    """Return the AUROC of doubts (K,) as predictors of errors (K,); NaN if all are right, or all wrong."""
     return auroc(doubt[~wrong], doubt[wrong]) if wrong.any() and not wrong.all() else float("nan")
 
 
 def _bins(prob: NDArray[np.float32], true: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """Return (150, 3) cells, visible cells and sum of probabilities by bin of probability."""
+    """Return a table (150, 3) by bin of probability: cells, visible cells and sum of probabilities."""
     bins = np.minimum((prob * FINE_BINS).astype(np.intp), FINE_BINS - 1)
     sums = [np.bincount(bins, weights, FINE_BINS) for weights in (np.ones(len(prob)), true, prob)]
     return np.stack(sums, axis=1)

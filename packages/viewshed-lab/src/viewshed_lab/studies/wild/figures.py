@@ -1,4 +1,4 @@
-"""Pictures of single scenes, from the ground to the mistakes, and of how well probabilities are calibrated."""
+"""Pictures of single scenes (ground, cut, states, errors), and reliability diagrams."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ from viewshed_lab.studies.wild.pool import Pool
 
 
 def picture_of(row: Any, methods: Sequence[str]) -> bytes:
-    """Return a PNG of a row's scene: exact ground, error of the estimated one, a cut, true states, mistakes.
+    """Return a PNG of a row's scene: exact ground, error of the estimated one, a cut, true states, errors.
 
-    The mistakes are those of measured beams alone, and of each method.
+    The errors are those of measured beams alone, and of each method.
     """
     seen = scene_of((row.set_name, row.domain, row.scene.split("-")[2], "0")).observe(row.sweep)
     sample, grid, target = seen.sample(row.told), seen.truth.grid, TARGETS[row.target]
@@ -35,15 +35,15 @@ def picture_of(row: Any, methods: Sequence[str]) -> bytes:
     error = ground_error_m(leveled, sample)
     half = grid.half_extent_m
     extent = (half, -half, -half, half)
-    found = [(method, estimator_named(method, row.domain, row.target)) for method in methods]
-    judged = [(method, estimator) for method, estimator in found if estimator is not None]
+    named = [(method, estimator_named(method, row.domain, row.target)) for method in methods]
+    judged = [(method, estimator) for method, estimator in named if estimator is not None]
     judged.insert(0, ("measured beams alone", ShadowMap(grid, target, "unknown")))
 
     figure = Figure((4.0 * (4 + len(judged)), 4.2), dpi=80, layout="constrained")
     axes = figure.subplots(1, 4 + len(judged))
     panels = [("exact ground, m", sample.ground_m, "terrain", None), ("estimated less exact, m", error, "RdBu", 2.0)]
-    for axis, (title, values, colors, most) in zip(axes, panels, strict=False):
-        limits = {} if most is None else {"vmin": -most, "vmax": most}
+    for axis, (title, values, colors, limit) in zip(axes, panels, strict=False):
+        limits = {} if limit is None else {"vmin": -limit, "vmax": limit}
         shown = axis.imshow(np.asarray(values)[::-1, ::-1], extent=extent, cmap=colors, **limits)
         figure.colorbar(shown, ax=axis, shrink=0.7)
         axis.set_title(title)
@@ -65,16 +65,16 @@ def picture_of(row: Any, methods: Sequence[str]) -> bytes:
 
 
 def reliability_of(pool: Pool) -> bytes:
-    """Return a PNG of the share of cells that are visible over the probability that each method said."""
+    """Return a PNG of the share of visible cells over the estimated probability of each method."""
     figure = Figure((4.2, 4.2), dpi=80, layout="constrained")
     axis = figure.subplots()
     axis.plot([0, 1], [0, 1], c="0.7", lw=1)
     for method in pool.names("method"):
         part = pool.of(method=method)
-        cells, visible, said = part.bins().reshape(BINS, -1, 3).sum(axis=1).T
-        some = cells > 0
+        cells, visible, prob = part.bins().reshape(BINS, -1, 3).sum(axis=1).T
+        used = cells > 0
         axis.plot(
-            said[some] / cells[some], visible[some] / cells[some], marker=".", label=f"{method}, {part.ece():.3f}"
+            prob[used] / cells[used], visible[used] / cells[used], marker=".", label=f"{method}, {part.ece():.3f}"
         )
     axis.set(xlabel="probability stated", ylabel="share of cells visible", xlim=(0, 1), ylim=(0, 1))
     axis.legend(title="calibration error", fontsize=7)
@@ -82,7 +82,7 @@ def reliability_of(pool: Pool) -> bytes:
 
 
 def _cut(axis: Any, leveled: LeveledSweep, grid: BevGrid, error_m: NDArray[np.float64], judged: Mask) -> None:
-    """Draw exact and estimated ground, and returns, along the line through the sensor with the largest errors."""
+    """Draw exact and estimated ground and returns along the line through the sensor with the largest mean error."""
     half_m = leveled.ground.half_extent_m
     run_m = np.linspace(-half_m, half_m, 257)
     lines = [run_m[:, None] * [np.cos(turn), np.sin(turn)] for turn in np.arange(0.0, np.pi, np.pi / 36)]
@@ -106,7 +106,7 @@ def _cut(axis: Any, leveled: LeveledSweep, grid: BevGrid, error_m: NDArray[np.fl
 
 
 def _classes(axis: Any, values: NDArray[Any], extent: tuple[float, ...], colors: Any, names: Sequence[str]) -> None:
-    """Draw classes (cells, cells), forward up and left at the left, with their names as a legend."""
+    """Draw classes (cells, cells) with a legend; forward is up and left is left."""
     axis.imshow(values[::-1, ::-1], extent=extent, cmap=colors, vmin=0, vmax=len(names) - 1, interpolation="nearest")
     patches = [Patch(facecolor=colors(k), edgecolor="0.5", label=name) for k, name in enumerate(names)]
     axis.legend(handles=patches, fontsize=6, loc="lower left", framealpha=0.8)

@@ -1,4 +1,4 @@
-"""The jobs of the study: one sweep each, by every method, target and knowledge."""
+"""The jobs of the wild study: one per sweep, with every method, target and knowledge."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ def run_study(
     on_progress: Progress = lambda *_: None,
     opening: SetOpening | None = None,
 ) -> Iterator[str]:
-    """Run what is not in the store yet, and yield one line for each job that failed.
+    """Run the jobs that are not in the store; yield one line for each failed job.
 
-    ``opening`` says who opens the sealed set and why, logged before anything is run.
+    ``opening`` is required for the sealed set; the caller must have logged it before.
     """
     if store.plan.opens_sealed and opening is None:
         raise ValueError(
@@ -39,6 +39,6 @@ def scene_of(key: JobKey) -> WildScene:
 
 
 def do_job(job: Job[WildPlan]) -> JobResult:
-    """Return what is counted of one sweep."""
+    """Evaluate all methods on one sweep."""
     seen = scene_of(job.key).observe(int(job.key[3]))
     return JobResult(list(rows_of(seen, job.plan)))

@@ -1,4 +1,4 @@
-"""The log of the sealed set: each time that it is opened, by which commit, when, why, and for which methods."""
+"""The log of the sealed set: date, code version, reason and methods of each opening."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pathlib import Path
 from viewshed_lab._page import facts
 
 LOG = Path("docs/results/wild_openings.md")
-"""In a checkout; it is committed."""
+"""Path in a checkout; the file is committed."""
 
 HEADER = """\
 # Openings of the sealed set
@@ -35,7 +35,7 @@ class SetOpening:
             raise ValueError(f"the reason must be one line of words without |, got {self.reason!r}")
 
     def log(self, path: Path = LOG) -> None:
-        """Append the line to the log, on the disk when this returns; the log is begun if there is none."""
+        """Append a line to the log and flush it to the disk; create the log if there is none."""
         if not path.parent.is_dir():
             raise ValueError(f"{path} must lie in a checkout of viewshed, where it is committed; go there, or name it")
         now = facts()

@@ -1,4 +1,4 @@
-"""The page of the study: own and other worlds side by side, what goes wrong beyond F1, the ladder, the worst scenes."""
+"""The page of the wild study: own and other worlds, figures beyond F1, the ladder, the worst scenes."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from viewshed_lab.studies.wild.pool import Pool
 OWN = "own"
 
 JUDGED = ("shadow_map",)
-"""Methods whose F1 is broken down by style, sensor and mounting, and whose worst scenes are shown."""
+"""Methods with tables of F1 by style, sensor and mounting, and with pictures of the worst scenes."""
 
 _WHAT = {
     "rings": "Known: ring, time and intensity of each return; no sensor, no height, no attitude",
@@ -32,7 +32,7 @@ _WHAT = {
 
 
 def files_of(store: ResultStore[WildPlan]) -> dict[str, bytes]:
-    """Return the page ``wild.md``, the last, and its pictures, as files by name."""
+    """Return the files by name: pictures, then the page ``wild.md``."""
     results, plan = store.results(), store.plan
     store.require(results)
     pool = Pool(results.rows)
@@ -57,7 +57,7 @@ def files_of(store: ResultStore[WildPlan]) -> dict[str, bytes]:
 
 
 def _agreement(pool: Pool) -> Table:
-    """Return precision, recall and F1 of every method, own and other side by side, and recall at equal precision."""
+    """Return the table of precision, recall and F1 by method, own and other, and of recall at equal precision."""
     rows, other = [], _own_and_other(pool)[1]
     bar = other.of(method=AS_GIVEN).counts.precision
     for method in pool.names("method"):
@@ -72,7 +72,7 @@ def _agreement(pool: Pool) -> Table:
 
 
 def _beyond_f1(pool: Pool) -> Table:
-    """Return calibration, doubt, claims that no beam carries and states of every method, own / other."""
+    """Return the table of calibration, doubt, claims without beams, and states by method, own / other."""
     rows = []
     for method in pool.names("method"):
         parts = _own_and_other(pool.of(method=method))
@@ -98,20 +98,20 @@ def _own_and_other(pool: Pool) -> tuple[Pool, Pool]:
 
 
 def _broken_down(pool: Pool) -> Iterator[Table]:
-    """Yield precision, recall and F1 by style, sensor and mounting, of each method that is judged."""
+    """Yield tables of precision, recall and F1 of the judged methods by style, sensor and mounting."""
     methods = [name for name in JUDGED if name in pool.names("method")]
     for key in ("style", "sensor", "mounting"):
         rows = []
         for name in sorted(pool.names(key)):
-            same = pool.of(**{key: name})
-            counts = [same.of(method=method).counts for method in methods]
-            scenes = str(len(same.names("scene")))
+            part = pool.of(**{key: name})
+            counts = [part.of(method=method).counts for method in methods]
+            scenes = str(len(part.names("scene")))
             rows.append([name, scenes, *(format_rates(one.precision, one.recall, one.f1) for one in counts)])
         yield Table([key, "scenes", *methods], rows)
 
 
 def _ladder(pool: Pool) -> Table | None:
-    """Return the shadow map's figures with each step of knowledge, over the scenes that have all; None without."""
+    """Return the table of the shadow map's figures by step of exact knowledge, over the same scenes; None without."""
     with_ladder = pool.of(method=LADDER[0]).names("scene")
     if not with_ladder:
         return None
@@ -131,7 +131,7 @@ def _ladder(pool: Pool) -> Table | None:
 
 
 def _reliability(pool: Pool) -> Picture | None:
-    """Return how well the probabilities of the judged methods are calibrated on other worlds; None without any."""
+    """Return the reliability diagram of the judged methods on other worlds; None without any."""
     judged = pool.of(method=JUDGED)
     if judged.rows.empty:
         return None
@@ -140,7 +140,7 @@ def _reliability(pool: Pool) -> Picture | None:
 
 
 def _worst(plan: WildPlan, pool: Pool) -> Iterator[Table | Picture]:
-    """Yield the worst scene of each of the worst styles for the last of the judged methods, and a picture of each."""
+    """Yield a table of the worst scene of each of the worst styles for the last judged method, and their pictures."""
     judged = [name for name in JUDGED if name in pool.names("method")]
     if not judged or not plan.worst:
         return

@@ -1,4 +1,4 @@
-"""Which sets are run, with which methods, targets and knowledge."""
+"""The plan of the wild study: sets, methods, targets and knowledge."""
 
 from __future__ import annotations
 
@@ -17,22 +17,22 @@ DOMAINS = ("road", "indoor")
 
 @dataclass(frozen=True, slots=True)
 class WildPlan(Plan):
-    """What is run. ``all`` in the TOML stands for a whole table of names."""
+    """Plan of the study. ``all`` in the TOML stands for all names of a table."""
 
     FOLDER: ClassVar[str] = "studies/wild/plans"
     WHOLE_TABLES: ClassVar[Mapping[str, Iterable[str]]] = {"methods": ESTIMATORS, "told": GIVEN, "targets": TARGETS}
 
     name: str  # of the study
-    about: str  # one line for people
-    sets: tuple[str, ...]  # of ``datasets.wild.SETS``; ``own`` is the yardstick, all others together are *other*
+    about: str  # one-line description
+    sets: tuple[str, ...]  # of ``data.wild.SETS``; ``own`` is the reference, all others together are *other*
     domains: tuple[str, ...]  # ``road``, ``indoor``
-    scenes: int  # how many of each domain at most, the first ones; 0 for all
-    methods: tuple[str, ...]  # of ``ESTIMATORS``. A network without weights for a grid and target is left out there.
-    told: tuple[str, ...]  # of ``GIVEN``: what the sweeps say beside their points
+    scenes: int  # maximum number of scenes per domain, the first ones; 0 for all
+    methods: tuple[str, ...]  # of ``ESTIMATORS``; a network without weights for a grid and target is left out there
+    told: tuple[str, ...]  # of ``GIVEN``: data that sweeps have besides their points
     targets: tuple[str, ...]  # of ``TARGETS``
-    ladder: bool  # whether the shadow map is also given the exact ground, returns and rings, one by one
-    worst: int  # how many of the worst scenes of each domain are shown as pictures
-    networks: tuple[str, ...]  # files of networks that are tried as well, each by the name of its file
+    ladder: bool  # whether the shadow map is also given exact rings, attitude, ground and beams, step by step
+    worst: int  # number of the worst scenes per domain that are shown as pictures
+    networks: tuple[str, ...]  # files of additional networks, named by their file names
 
     def __post_init__(self) -> None:
         for key, table in (("sets", SETS), ("domains", DOMAINS), *self.WHOLE_TABLES.items()):
@@ -43,12 +43,12 @@ class WildPlan(Plan):
 
     @property
     def judged(self) -> tuple[str, ...]:
-        """Names under which estimates stand in the tables: the methods, and the files of the networks."""
+        """Names of the methods in the tables: the methods, and the file names of the networks."""
         return (*self.methods, *(Path(file).stem for file in self.networks))
 
     @property
     def opens_sealed(self) -> bool:
-        """Whether the sealed set is among the sets."""
+        """Whether the sets include the sealed one."""
         return SEALED in self.sets
 
     def job_keys(self) -> list[JobKey]:

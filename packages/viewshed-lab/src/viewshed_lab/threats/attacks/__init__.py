@@ -1,10 +1,10 @@
-"""Attacks on a sweep: the table, the role, and the record of what was touched.
+"""Attacks on a sweep: the tables by name, the protocol, and the record of changes.
 
 >>> from viewshed_lab.threats.attacks import ADAPTIVE, ATTACKS
 >>> "far_wall" in ATTACKS, "adaptive_over_claim" in ADAPTIVE
 (True, True)
 
-The attacks by name: ``ATTACKS[name](budget)`` makes one; what each is tried with.
+``ATTACKS[name](budget)`` makes an attack; ``BUDGETS`` and ``SEVERITIES`` hold the values that studies try.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ __all__ = [
 ]  # fmt: skip
 
 FULL_WEDGE = 1_000_000_000
-"""A budget that no wedge holds: every beam in it."""
+"""A budget larger than any wedge: every beam in it."""
 
 
 def _replay(known: Knowledge) -> Attack:
@@ -128,16 +128,16 @@ def _make(name: str, budget: int | None = None, knowledge: Knowledge = NOTHING) 
     attack: Any = _MAKERS[name](knowledge)
     if budget is None:
         return cast(Attack, attack)
-    if name == "pose_spoof":  # touches no return: a budget of 0 is no attack, any other is all of it
+    if name == "pose_spoof":  # changes no return: a budget of 0 is no attack, any other is the full attack
         return PoseSpoof(0.0, 0.0) if budget == 0 else attack
     return cast(Attack, replace(attack, budget=budget))
 
 
 INFORMED: dict[str, AttackFactory] = {name: partial(_make, name) for name in ("vanished_object", "copied_object")}
-"""Attackers of family 15 who know what a monitor looks at in one sweep, and avoid it."""
+"""Attacks of family 15, designed to avoid what a monitor checks in one sweep."""
 
 ATTACKS: dict[str, AttackFactory] = {name: partial(_make, name) for name in _MAKERS if name not in INFORMED}
-"""By name, with sound parameters. Attacks that last need ``Knowledge(earlier=…)``."""
+"""By name, with reasonable parameters. Attacks over time need ``Knowledge(earlier=…)``."""
 
 
 _WHOLE: dict[str, Callable[[Knowledge], Attack]] = {
@@ -158,7 +158,7 @@ def _make_whole(name: str, budget: int | None = None, knowledge: Knowledge = NOT
 
 
 WHOLE_CLOUD: dict[str, AttackFactory] = {name: partial(_make_whole, name) for name in _WHOLE}
-"""Attacks on the whole cloud, mirrors, and trojans in the driver: no beam model binds them, and no budget."""
+"""Attacks on the whole cloud, mirrors, and trojans in the driver: without a budget, and not tied to beams."""
 
 
 FAMILY: dict[str, int] = {
@@ -171,20 +171,20 @@ FAMILY: dict[str, int] = {
     "shifted_axis": 18, "sensor_noise": 18,
     "blinding": 19, "mirror_adds": 20, "mirror_removes": 20, "trojan_injects": 21, "trojan_suppresses": 21,
 }  # fmt: skip
-"""The number of the family that each of ``ATTACKS``, ``INFORMED`` and ``WHOLE_CLOUD`` belongs to."""
+"""Family number of each attack in ``ATTACKS``, ``INFORMED`` and ``WHOLE_CLOUD``."""
 
 FREE_FORM = frozenset({"uniform", "cluster", "wedge_cluster_free", "frustum_free"})
-"""Attacks that add points anywhere; ``pose_spoof`` touches no return, and all others keep to the beams."""
+"""Attacks that add points anywhere; ``pose_spoof`` changes no return, and all others stay on the beams."""
 
 EARLIER = frozenset({"replay"})
-"""Attacks that cannot be made without an earlier sweep."""
+"""Attacks that require an earlier sweep."""
 
 _COUNTS = (0, 50, 100, 150, 200, 1000)
 
 BUDGETS: dict[str, tuple[int, ...]] = {
     name: (0,) if name == "pose_spoof" else _COUNTS if name in FREE_FORM else (*_COUNTS, FULL_WEDGE) for name in ATTACKS
 }
-"""The budgets that a study runs. Free points have no wedge to fill, and a pose has no points."""
+"""The budgets that a study runs. Free points have no wedge to fill; ``pose_spoof`` has no points."""
 
 SEVERITIES: dict[str, tuple[tuple[str, float], ...]] = {
     "wedge_cluster": (("budget", 60), ("budget", 100), ("budget", 200)),
@@ -198,13 +198,13 @@ SEVERITIES: dict[str, tuple[tuple[str, float], ...]] = {
                    ("shift_m", 0.2), ("shift_m", 0.5), ("shift_m", 1.0), ("shift_m", 2.0)),
     "removal_and_far_wall": (("sector_deg", 10.0), ("sector_deg", 30.0), ("sector_deg", 80.0)),
 }  # fmt: skip
-"""For attacks that are not a matter of points alone: attributes and values, from mild to strong."""
+"""For attacks with a strength other than the number of points: attributes and values, from mild to strong."""
 
 
 def at_severity(name: str, attribute: str, value: float, knowledge: Knowledge = NOTHING) -> Attack:
-    """Return the attack called ``name`` with one attribute changed, for example those of ``SEVERITIES``.
+    """Return the attack ``name`` with one attribute changed, for example one of ``SEVERITIES``.
 
-    A pose is spoofed in that attribute alone.
+    For ``pose_spoof`` the other attributes are 0.
 
     >>> at_severity("ghost_wall", "sector_deg", 80.0).sector_deg
     80.0

@@ -1,4 +1,4 @@
-"""Projected gradient on the ranges of an attacker's beams, through any function that gives a value and its gradient."""
+"""White-box attack: projected gradient ascent on the ranges of the attacker's beams."""
 
 from __future__ import annotations
 
@@ -20,60 +20,60 @@ from viewshed_lab.threats.attacks.spoofer import LEAVE, MEASURED_SPOOFER, Spoofe
 from viewshed_lab.threats.attacks.wedge_attack import Placement
 
 ValueAndGradient = Callable[[NDArray[np.float64]], tuple[float, NDArray[Any]]]
-"""From points (N, 3) in the sensor's frame to what they are worth to the attacker and the gradient (N, 3)."""
+"""Maps points (N, 3) in the sensor's frame to the attacker's objective and its gradient (N, 3)."""
 
-_MARGIN_M = 0.5
+_MARGIN_M = 0.5  # distance of planned ranges from the sensor's limits
 
 _REFINES = 0.25
-"""The second half starts with this share of the first step."""
+"""The second half of the steps starts with this share of the initial step."""
 
 
 @dataclass(frozen=True, slots=True)
 class Expectation(Checked):
-    """What an attacker averages over, so that a plan survives what cannot be known (Athalye et al. 2018)."""
+    """Random disturbances over which the objective is averaged, so that a plan is robust (Athalye et al. 2018)."""
 
-    samples: Annotated[int, Between(1, 10_000)] = 8  # draws for each gradient
-    # standard deviation of the ranges of the attacker's own returns
+    samples: Annotated[int, Between(1, 10_000)] = 8  # per gradient
+    # standard deviation of the ranges of the attacker's returns
     noise_m: Annotated[float, Between(0.0, 10.0)] = 0.10
-    lost_share: Share = 0.015  # of the attacker's own beams, which then report what they would have
-    yaw: Annotated[float, Between(0.0, np.pi)] = 0.0  # standard deviation of a turn of the whole cloud, radians
-    # standard deviation of a shift of the whole cloud, along each level axis
+    lost_share: Share = 0.015  # of the attacker's beams; a lost one keeps its clean return
+    yaw: Annotated[float, Between(0.0, np.pi)] = 0.0  # standard deviation of a rotation of the cloud, radians
+    # standard deviation of a shift of the cloud, along each level axis
     shift_m: Annotated[float, Between(0.0, 100.0)] = 0.0
 
 
 NO_EXPECTATION = Expectation(1, 0.0, 0.0)
-"""No expectation: the plan is met exactly."""
+"""No disturbances: the plan is carried out exactly."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WhiteBox(Checked):
-    """Ascends a gradient in the ranges of beams that returned, each along its beam, within what the sensor reports.
+    """Gradient ascent in the ranges of the beams that returned, within the range limits of the sensor.
 
-    First all beams of the wedge move; what each gained is the integral of its slope along its way, by trapezoids. Those
-    that gained most, as many as the budget allows, are kept, the rest go back, and the kept ones are refined. Steps are
-    of one size for all beams (Goodfellow et al. 2015; Madry et al. 2018) and shrink to nothing in each half.
+    First all beams of the wedge move; the gain of a beam is its slope integrated along its motion, by trapezoids. The
+    beams with the largest gains, up to the budget, are kept and refined; the others go back. The step size is the same
+    for all beams (Goodfellow et al. 2015; Madry et al. 2018) and shrinks to zero in each half.
     """
 
     objective: ValueAndGradient  # value and gradient of the points; rows are those of the sweep
-    budget: Budget = 150  # most beams; None for all of the wedge
-    # half before, half after the choice of beams; the gradient is computed once more in each half
+    budget: Budget = 150  # maximum number of beams; None for all of the wedge
+    # half before, half after the choice of beams; each half computes the gradient once more
     steps: Annotated[int, Between(2, 100_000)] = 80
-    # first step, meters; a beam goes no farther than ``step_m * steps / 4`` before the choice
+    # initial step, meters; a beam moves at most about ``step_m * steps / 4`` before the choice
     step_m: Annotated[float, Between(1e-6, 1000.0)] = 2.0
     sector_deg: Sector = 30.0  # width of the wedge
-    # middle of the wedge in the sensor's frame; None aims at an obstacle as a far wall is aimed
+    # center of the wedge in the sensor's frame; None aims at an obstacle, as a far wall does
     azimuth: Azimuth = None
     aim_m: Range = 25.0  # obstacles nearer than this are aimed at
-    placement: Placement = "random"  # how that is aimed, see :class:`WedgeAttack`
-    expectation: Expectation = NO_EXPECTATION  # what is averaged over
-    spoofer: Spoofer = MEASURED_SPOOFER  # how well the beams are won
+    placement: Placement = "random"  # choice of the obstacle, see :class:`WedgeAttack`
+    expectation: Expectation = NO_EXPECTATION  # disturbances over which the objective is averaged
+    spoofer: Spoofer = MEASURED_SPOOFER  # success rate and range noise
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Tampered:
-        """Return the attacked sweep and what was done to it."""
+        """Return the attacked sweep and the record of its changes."""
         return self.search(sweep, rng).tampered
 
     def search(self, sweep: Sweep, rng: np.random.Generator) -> SearchResult:
-        """Return the attacked sweep with what the plan is worth and what it cost to find.
+        """Return the attacked sweep with the value of the plan and the number of queries.
 
         Raises:
             ValueError: the objective's gradient does not have the shape of the points, or is not finite.
@@ -82,9 +82,9 @@ class WhiteBox(Checked):
         wedge = aimed.aim(sweep, rng)
         rays = rays_in(sweep, wedge)
         climb = _Climb(sweep, rays, self.objective, self.expectation, int(rng.integers(2**62)))
-        everywhere, first = np.ones(len(rays), np.bool_), self.steps // 2
-        _, gain_m = climb.ascend(rays.depth_m, everywhere, first, self.step_m)
-        chosen = _best_beams(gain_m, self.budget)
+        all_rays, first = np.ones(len(rays), np.bool_), self.steps // 2
+        _, gain = climb.ascend(rays.depth_m, all_rays, first, self.step_m)
+        chosen = _best_beams(gain, self.budget)
         start_m = np.where(chosen, climb.depth_m, rays.depth_m)
         best_m, _ = climb.ascend(start_m, chosen, self.steps - first, _REFINES * self.step_m, best=True)
         history, queries = np.array(climb.history), len(climb.history) * self.expectation.samples
@@ -95,7 +95,7 @@ class WhiteBox(Checked):
 
 
 class _Climb:
-    """The ranges of some beams on their way up."""
+    """Gradient ascent on the depths of some rays; keeps the last depths, the best value and the history of values."""
 
     def __init__(
         self, sweep: Sweep, rays: Rays, objective: ValueAndGradient, expectation: Expectation, seed: int
@@ -112,7 +112,7 @@ class _Climb:
     def ascend(
         self, start_m: F64, moves: NDArray[np.bool_], steps: int, step_m: float, *, best: bool = False
     ) -> tuple[F64, F64]:
-        """Return the best (or the last) depths (K,) of a climb and what each beam gained on its way."""
+        """Return the best (or the last) depths (K,) in meters, and the gain (K,) of each beam."""
         depth_m, best_m, gain = start_m, start_m, np.zeros(len(start_m))
         value, slope = self._slope(depth_m, moves)
         for number in range(steps):
@@ -129,21 +129,22 @@ class _Climb:
         return (best_m if best else depth_m), gain
 
     def _slope(self, depth_m: F64, moves: NDArray[np.bool_]) -> tuple[float, F64]:
-        """Return the expected value and its slope (K,) along the beams."""
+        """Return the mean value over the disturbances, and its derivative (K,) by the depths."""
         values, slope = [], np.zeros(len(depth_m))
         for sample in range(self._expectation.samples):
             rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence([self._seed, sample])))
-            value, along = self._one(depth_m, moves, rng)
+            value, along = self._sample(depth_m, moves, rng)
             values.append(value)
             slope += along
         self.history.append(float(np.mean(values)))
         return self.history[-1], slope / self._expectation.samples
 
-    def _one(self, depth_m: F64, moves: NDArray[np.bool_], rng: np.random.Generator) -> tuple[float, F64]:
-        expected, rays = self._expectation, self._rays
-        noise_m = expected.noise_m * rng.normal(size=len(rays))
-        kept = moves & (rng.random(len(rays)) >= expected.lost_share)
-        angle, shift_m = expected.yaw * rng.normal(), expected.shift_m * rng.normal(size=2)
+    def _sample(self, depth_m: F64, moves: NDArray[np.bool_], rng: np.random.Generator) -> tuple[float, F64]:
+        """Return the value and its derivative (K,) under one random disturbance."""
+        spread, rays = self._expectation, self._rays
+        noise_m = spread.noise_m * rng.normal(size=len(rays))
+        kept = moves & (rng.random(len(rays)) >= spread.lost_share)
+        angle, shift_m = spread.yaw * rng.normal(), spread.shift_m * rng.normal(size=2)
         points, rows = self._points.copy(), rays.row[kept]
         points[rows] = rays.start_m[kept] + (depth_m + noise_m)[kept, None] * rays.direction[kept]
         c, s = np.cos(angle), np.sin(angle)
@@ -158,7 +159,7 @@ class _Climb:
 
 
 def _best_beams(gain: F64, budget: int | None) -> NDArray[np.bool_]:
-    """Return which beams (K,) gained anything and are among the ``budget`` that gained most."""
+    """Return the mask (K,) of the ``budget`` beams with the largest positive gains."""
     chosen = np.zeros(len(gain), np.bool_)
     order = np.argsort(-gain, kind="stable")[: len(gain) if budget is None else budget]
     chosen[order[gain[order] > 0.0]] = True

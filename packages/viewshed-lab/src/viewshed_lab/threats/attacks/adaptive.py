@@ -1,7 +1,7 @@
-"""Attackers who adapt to what the victim runs, by asking it (family 16) or by its gradient (family 15).
+"""Adaptive attacks: black-box search with queries to the victim's estimator (family 16).
 
-What they want is a number for each sweep that the victim might read. They search among plans (which beams to take and
-which ranges to give them, or where to put free points) by random draws, and by an evolution from the best of them.
+An objective gives each attacked sweep a value. The attacker searches for the plan of highest value (which beams to
+spoof and at which ranges, or where to put free points), by random draws and then an evolution strategy from the best.
 """
 
 from __future__ import annotations
@@ -37,34 +37,34 @@ from viewshed_lab.threats.attacks.spoofer import (
 )
 from viewshed_lab.threats.attacks.wedge_attack import Placement
 
-DRAWN_SHARE = 0.3
-"""Share of the queries of an evolution that its random draws may use."""
+RANDOM_SHARE = 0.3
+"""Share of an evolution's queries that is used for random draws."""
 
-OFFSPRING = 6
+OFFSPRING = 6  # λ of the evolution strategy
 
 _GROWS, _SHRINKS = 1.6, 0.88
-"""Factors of the step after a success and after a failure."""
+"""Factors of the step size after a success and after a failure."""
 
 _STEPS = (0.03, 2.0)
-"""Smallest and largest step of the evolution."""
+"""Minimum and maximum step size of the evolution."""
 
 _MARGIN_M = 2.0
-"""Planned ranges keep this far from the sensor's limits, so that noise rarely takes a return away."""
+"""Margin between planned ranges and the sensor's limits, so that noise rarely loses a return."""
 
 _NEAR_M = 25.0
 """Obstacles nearer than this are a feature of their own."""
 
 _FREE_M = (1.0, 90.0)
-"""Nearest and farthest range of free points."""
+"""Minimum and maximum range of free points."""
 
 _F = 10
-"""Features of a beam."""
+"""Number of features per beam."""
 
 _GONE, _SHARP, _STREET, _WALL = 2 * _F, 3 * _F + 1, 3 * _F + 2, 3 * _F + 3
-"""Places in a candidate: the constant weight of removal, and numbers of the head."""
+"""Indices into a candidate: the constant weight of removal, and three of the common parameters."""
 
 _MIDDLE, _OBSTACLE, _SPREAD, _CROWD, _NEAR = 2, 4, 6, 8, 9
-"""Features by column, see ``_features``."""
+"""Columns of the features, see ``_features``."""
 
 _GUESSES: tuple[dict[int, float], ...] = (
     {_SPREAD: 0.5, _SHARP: 2.0, _STREET: -1.0, _WALL: 4.0},
@@ -78,26 +78,26 @@ _GUESSES: tuple[dict[int, float], ...] = (
     {_MIDDLE: -3.0, _STREET: -1.0, _WALL: -2.5},
     {_SPREAD: 3.0, _STREET: -1.0, _WALL: -2.5},
 )
-"""The first plans: a fan of far returns; a far wall in the middle and one spread over columns; removal in the middle;
-far walls and removal that take the columns with the fewest obstacles first; near walls."""
+"""The first plans: a fan of far returns; a far wall in the center and one spread over columns; removal in the center;
+far walls and removal in the columns with the fewest obstacles first; near walls."""
 
 
 class SearchSpace(Protocol):
-    """What can be searched."""
+    """A set of plans to search; a plan is a vector."""
 
     def draw(self, number: int, rng: np.random.Generator) -> F64:
-        """Return a random plan; the first few may be good guesses, by their number."""
+        """Return random plan ``number``; the first few may be good guesses."""
         ...
 
     def mutated(self, parent: F64, step: float, rng: np.random.Generator) -> F64:
-        """Return a plan near another."""
+        """Return a plan near ``parent``."""
         ...
 
 
 class Attempts:
-    """The plans that were tried: the best, what it is worth, and what each was worth, in order.
+    """The evaluated plans: the best one, its value, and the values of all in order.
 
-    Of equals the later is the best, so that a plateau is crossed.
+    A later plan of equal value replaces the best, so that the search can cross a plateau.
     """
 
     def __init__(self, value_of: Callable[[F64], float]) -> None:
@@ -107,7 +107,7 @@ class Attempts:
         self.history: list[float] = []
 
     def attempt(self, candidate: F64) -> bool:
-        """Return whether a plan is better than all before."""
+        """Evaluate a plan; return whether it is better than all before."""
         value = self._value_of(candidate)
         self.history.append(value)
         better = value > self.value
@@ -117,51 +117,51 @@ class Attempts:
 
 
 def evolution(space: SearchSpace, value_of: Callable[[F64], float], limit: int, rng: np.random.Generator) -> Attempts:
-    """Try ``limit`` plans: a share drawn at random, then a (1 + λ) evolution strategy with λ = 6 from the best.
+    """Evaluate ``limit`` plans: random draws, then a (1 + λ) evolution strategy with λ = 6 from the best of them.
 
-    The step grows after a success and shrinks otherwise (Rechenberg 1973). Never worse than the best of its draws.
+    The step grows after a success and shrinks otherwise (Rechenberg 1973).
     """
-    tried, step = Attempts(value_of), 0.6
-    for number in range(int(np.ceil(DRAWN_SHARE * limit))):
-        tried.attempt(space.draw(number, rng))
-    while (left := limit - len(tried.history)) > 0 and tried.candidate is not None:
-        parent = tried.candidate
+    attempts, step = Attempts(value_of), 0.6
+    for number in range(int(np.ceil(RANDOM_SHARE * limit))):
+        attempts.attempt(space.draw(number, rng))
+    while (left := limit - len(attempts.history)) > 0 and attempts.candidate is not None:
+        parent = attempts.candidate
         children = [space.mutated(parent, step, rng) for _ in range(min(OFFSPRING, left))]
-        won = [tried.attempt(child) for child in children]
-        step = float(np.clip(step * (_GROWS if any(won) else _SHRINKS), *_STEPS))
-    return tried
+        improved = [attempts.attempt(child) for child in children]
+        step = float(np.clip(step * (_GROWS if any(improved) else _SHRINKS), *_STEPS))
+    return attempts
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BeamSearchSpace:
-    """Plans on the beams of a wedge: a priority and a wanted depth for each, from a few weights and a residual each.
+    """Plans on the beams of a wedge: priorities and target depths from common parameters and residuals per beam.
 
-    A candidate is: weights of the features for the priority, for the depth and for removal; which elevation to prefer
-    and how much; whether depths are an empty street's and how far its wall is; then residuals of priority and depth.
+    A candidate is a vector: weights of the features for priority, depth and removal (3 F); preferred elevation, its
+    weight, a switch to an empty street's depths and the range of its wall (4); residuals of priority and depth (2 K).
     """
 
-    sweep: Sweep  # that is attacked
-    wedge: Wedge  # that the attacker reaches
-    budget: int | None  # most beams, None for all
-    spoofer: Spoofer  # what the attacker achieves
+    sweep: Sweep  # attacked sweep
+    wedge: Wedge  # attacked wedge
+    budget: int | None  # maximum number of beams, None for all
+    spoofer: Spoofer  # success rate and range noise
     rays: Rays  # (K,) beams of the wedge
-    # (K, F) of the beams: constant, azimuth and its distance from the middle, elevation, obstacle, depth, numbers that
-    # spread evenly over columns and over rings, how crowded with obstacles the column is, and obstacles that are near
+    # (K, F) features: constant, azimuth and its distance from the center, elevation, obstacle, depth, values spread
+    # evenly over columns and over rings, number of obstacles in the column, and near obstacle
     features: F64
-    obstacle: NDArray[np.bool_]  # (K,) bool, beams that returned from above the ground
+    obstacle: NDArray[np.bool_]  # (K,) bool, beams with obstacle returns
 
     @classmethod
     def of(cls, sweep: Sweep, wedge: Wedge, budget: int | None, spoofer: Spoofer) -> BeamSearchSpace:
-        """Return the plans for a wedge of a sweep; where its beams are not known, only returns can be moved."""
+        """Return the plans for a wedge of a sweep; if its beams are unknown, without the empty ones."""
         rays = rays_in(sweep, wedge, empty=lattice_of(sweep) is not None)
         obstacle = is_obstacle(sweep, rays) if len(rays) else np.zeros(0, np.bool_)
         return cls(sweep, wedge, budget, spoofer, rays, _features(rays, wedge, obstacle), obstacle)
 
     def draw(self, number: int, rng: np.random.Generator) -> F64:
-        """Return a random plan; the first few are guesses: a fan of far returns, far walls, removal, near walls."""
+        """Return a random plan; the first few are guesses, see ``_GUESSES``."""
         f, k = _F, len(self.rays)
         candidate = np.concatenate([rng.normal(0.0, 1.0, 3 * f + 4), rng.normal(0.0, 0.3, 2 * k)])
-        candidate[_GONE] -= 2.5  # removal is the exception
+        candidate[_GONE] -= 2.5  # makes removal rare
         candidate[_SHARP] += rng.exponential(3.0) - 1.0
         candidate[3 * f + 4 :][:k] += rng.exponential(1.0) * self._by_column(rng)
         if number < len(_GUESSES):
@@ -170,59 +170,59 @@ class BeamSearchSpace:
         return candidate
 
     def _by_column(self, rng: np.random.Generator) -> F64:
-        """Return one normal number (K,) for each beam, the same for all of a column."""
+        """Return normal numbers (K,), equal within a column."""
         _, number = np.unique(self.features[:, _SPREAD], return_inverse=True)
         return np.asarray(rng.normal(0.0, 1.0, int(number.max(initial=-1)) + 1)[number])
 
     def mutated(self, parent: F64, step: float, rng: np.random.Generator) -> F64:
-        """Return a plan with some weights changed, or the residuals of some beams, or both."""
+        """Return a plan with some common parameters changed, or the residuals of some beams, or both."""
         child, head = parent.copy(), 3 * _F + 4
         which = rng.random()
         if which < 0.7:
             chosen = rng.random(head) < 0.25
             child[:head][chosen] += step * rng.normal(0.0, 1.0, int(chosen.sum()))
         if which > 0.4:
-            middle, width = rng.uniform(-1.0, 1.0), rng.uniform(0.05, 0.6)
-            near = np.tile(np.abs(self.features[:, 1] - middle) < width, 2)
+            center, width = rng.uniform(-1.0, 1.0), rng.uniform(0.05, 0.6)
+            near = np.tile(np.abs(self.features[:, 1] - center) < width, 2)
             child[head:][near] += step * rng.normal(0.0, 1.0, int(near.sum())) + step * rng.normal()
             child[head : head + len(self.rays)] += step * self._by_column(rng) * (rng.random() < 0.5)
         return child
 
     def tampered(self, candidate: F64, rng: np.random.Generator) -> Tampered:
-        """Return the sweep after a plan, as far as the spoofer wins and keeps to it."""
-        return self.spoofer.spoof(self.sweep, self.rays, self.wanted_m(candidate), self.wedge, rng)
+        """Return the sweep after a plan, with the spoofer's random losses and noise."""
+        return self.spoofer.spoof(self.sweep, self.rays, self.target_m(candidate), self.wedge, rng)
 
-    def wanted_m(self, candidate: F64) -> F64:
-        """Return the depth (K,) in meters that a plan wants of each beam, ``LEAVE`` or ``NO_RETURN``."""
+    def target_m(self, candidate: F64) -> F64:
+        """Return a plan's target depths (K,) in meters, ``LEAVE`` or ``NO_RETURN``."""
         f, k = _F, len(self.rays)
         priority, depth, gone = (self.features @ candidate[: 3 * f].reshape(3, f).T).T
         height, sharp, street, wall = candidate[3 * f : 3 * f + 4]
         residual = candidate[3 * f + 4 :]
         priority = priority + residual[:k] - max(sharp, 0.0) * np.abs(self.features[:, 3] - height)
-        least_m, most_m = limits_m(self.sweep)
-        low_m, high_m = min(least_m + _MARGIN_M, most_m), max(most_m - _MARGIN_M, least_m)
+        min_m, max_m = limits_m(self.sweep)
+        low_m, high_m = min(min_m + _MARGIN_M, max_m), max(max_m - _MARGIN_M, min_m)
         if street > 0.0:
             wall_m = low_m + (high_m - low_m) * float(_sigmoid(wall))
-            wanted = street_depth_m(self.sweep, self.rays, wall_m)
-            priority = np.where(wanted > self.rays.depth_m + _MARGIN_M, priority, -np.inf)
-            wanted = np.clip(wanted, low_m, high_m)
+            depth_m = street_depth_m(self.sweep, self.rays, wall_m)
+            priority = np.where(depth_m > self.rays.depth_m + _MARGIN_M, priority, -np.inf)
+            depth_m = np.clip(depth_m, low_m, high_m)
         else:
-            wanted = low_m + (high_m - low_m) * _sigmoid(depth + wall + residual[k:])
-        wanted = np.where((gone > 0.0) & (self.rays.row >= 0), NO_RETURN, wanted)
+            depth_m = low_m + (high_m - low_m) * _sigmoid(depth + wall + residual[k:])
+        depth_m = np.where((gone > 0.0) & (self.rays.row >= 0), NO_RETURN, depth_m)
         limit = k if self.budget is None else min(self.budget, k)
-        out = np.full(k, LEAVE)
+        target_m = np.full(k, LEAVE)
         chosen = np.argsort(-priority, kind="stable")[:limit]
         chosen = chosen[np.isfinite(priority[chosen])]
-        out[chosen] = wanted[chosen]
-        return out
+        target_m[chosen] = depth_m[chosen]
+        return target_m
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PointSearchSpace:
-    """Plans of free points in a wedge: azimuth, range and height of each, from a few numbers and residuals."""
+    """Plans of free points in a wedge: five common parameters, then residuals of azimuth, range, height of each."""
 
-    sweep: Sweep  # that is attacked
-    wedge: Wedge  # that the attacker reaches
+    sweep: Sweep  # attacked sweep
+    wedge: Wedge  # attacked wedge
     budget: int  # number of points
 
     def draw(self, number: int, rng: np.random.Generator) -> F64:
@@ -234,27 +234,27 @@ class PointSearchSpace:
         return candidate
 
     def mutated(self, parent: F64, step: float, rng: np.random.Generator) -> F64:
-        """Return a plan with the common numbers changed, or some points, or both."""
+        """Return a plan with the common parameters changed, or the residuals of some points, or both."""
         child, which = parent.copy(), rng.random()
         if which < 0.7:
             child[:5] += step * rng.normal(0.0, 1.0, 5)
         if which > 0.4:
-            some = np.tile(rng.random(self.budget) < 0.2, 3)
-            child[5:][some] += step * rng.normal(0.0, 1.0, int(some.sum()))
+            chosen = np.tile(rng.random(self.budget) < 0.2, 3)
+            child[5:][chosen] += step * rng.normal(0.0, 1.0, int(chosen.sum()))
         return child
 
     def tampered(self, candidate: F64, rng: np.random.Generator) -> Tampered:
-        """Return the sweep with the points of a plan; points that the attitude puts beside the wedge are left out."""
+        """Return the sweep with a plan's points; those that leveling moves out of the wedge are left out."""
         points = self.points(candidate)
         tampered = add_points(self.sweep, points[within(points.astype(np.float32), self.wedge)], rng)
         return replace(tampered, wedge=self.wedge)
 
     def points(self, candidate: F64) -> F64:
         """Return the points (budget, 3) of a plan, meters, sensor frame."""
-        middle, spread, far, slope, high = candidate[:5]
+        center, spread, far, slope, high = candidate[:5]
         aside, near, up = candidate[5:].reshape(3, self.budget)
-        even = (np.arange(self.budget) + 0.5) * (2.0 / max(self.budget, 1)) - 1.0
-        azimuth = self.wedge.azimuth + 0.499 * self.wedge.width * np.clip(middle + spread * even + 0.1 * aside, -1, 1)
+        even = (np.arange(self.budget) + 0.5) * (2.0 / max(self.budget, 1)) - 1.0  # evenly spaced in (-1, 1)
+        azimuth = self.wedge.azimuth + 0.499 * self.wedge.width * np.clip(center + spread * even + 0.1 * aside, -1, 1)
         range_m = _FREE_M[0] + (_FREE_M[1] - _FREE_M[0]) * _sigmoid(far + slope * even + near)
         to_level = scene_of(self.sweep).level_from_sensor.rotation
         ahead = np.stack([np.cos(azimuth), np.sin(azimuth), np.zeros_like(azimuth)], axis=1) @ to_level.T
@@ -265,7 +265,7 @@ class PointSearchSpace:
 
 
 def _features(rays: Rays, wedge: Wedge, obstacle: NDArray[np.bool_]) -> F64:
-    """Return features (K, 10) of beams, each about one wide."""
+    """Return features (K, 10) of beams, each scaled to a spread of about 1."""
     azimuth = np.arctan2(rays.direction[:, 1], rays.direction[:, 0]) - wedge.azimuth
     azimuth = ((azimuth + np.pi) % (2 * np.pi) - np.pi) / (wedge.width / 2)
     elevation = np.rad2deg(np.arcsin(np.clip(rays.direction[:, 2], -1.0, 1.0))) / 5.0
@@ -281,7 +281,7 @@ def _features(rays: Rays, wedge: Wedge, obstacle: NDArray[np.bool_]) -> F64:
 
 
 def _spread(number: NDArray[np.intp]) -> F64:
-    """Return multiples of the golden ratio in [0, 1): the first few of any run of numbers are spread evenly."""
+    """Return multiples of the golden ratio modulo 1: consecutive numbers are spread evenly over [0, 1)."""
     return np.asarray((number * 0.6180339887498949) % 1.0)
 
 
@@ -291,14 +291,14 @@ def _sigmoid(value: F64 | float) -> F64:
 
 
 Value = Callable[[Sweep], float]
-"""From an attacked sweep to what it is worth to the attacker."""
+"""Maps an attacked sweep to its value for the attacker."""
 
 
 class Objective(Protocol):
-    """Anything that an attacker wants more of."""
+    """A quantity that the attacker maximizes."""
 
     def on(self, clean: Sweep, wedge: Wedge) -> Value:
-        """Return what sweeps made from ``clean`` are worth, where the attacker reaches ``wedge``."""
+        """Return the value function of attacks on the sweep ``clean`` in ``wedge``."""
         ...
 
 
@@ -306,25 +306,25 @@ class Objective(Protocol):
 class OverClaim:
     """Area in the wedge, in m², that the victim claims under attack and did not claim before.
 
-    The attacker has no truth: the victim's own clean estimate stands for it.
+    The attacker has no truth and compares with the victim's own clean estimate.
     """
 
-    estimator: FovEstimator  # what the victim runs
-    threshold: float = THRESHOLD  # probability from which a cell is claimed
+    estimator: FovEstimator  # the victim's estimator
+    threshold: float = THRESHOLD  # minimum probability of a claimed cell
 
     claimed: ClassVar[bool] = True
-    """Whether cells are to be claimed that were not, or the other way round."""
+    """True counts newly claimed cells, False cells that are no longer claimed."""
 
     def on(self, clean: Sweep, wedge: Wedge) -> Value:
-        """Return the objective; the victim is queried once."""
+        """Return the value function; this queries the victim once."""
         grid = self.estimator.grid
 
         def claims(sweep: Sweep) -> NDArray[np.bool_]:
             return np.asarray(self.estimator.estimate(sweep).visible(self.threshold) == self.claimed)
 
         x, y = np.moveaxis(grid.centers @ scene_of(clean).level_from_sensor.rotation[:2, :2], -1, 0)
-        others = ~claims(clean) & wedge.holds(np.arctan2(y, x))
-        return lambda sweep: float((others & claims(sweep)).sum()) * grid.cell_area_m2
+        candidates = ~claims(clean) & wedge.holds(np.arctan2(y, x))
+        return lambda sweep: float((candidates & claims(sweep)).sum()) * grid.cell_area_m2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -339,59 +339,59 @@ class UnderClaim(OverClaim):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Evade(Checked):
-    """Another objective, worth nothing like as much where a monitor's score is above a limit."""
+    """Another objective minus a penalty for a monitor's score above a limit."""
 
-    aim: Objective  # what the attacker wants
-    score: Value  # from a sweep to the doubt of a monitor, or 1 for an alarm and 0 for none
-    limit: float = 0.0  # the highest score that goes unnoticed
-    # what one unit of score above the limit costs, in units of the aim
+    aim: Objective  # the attacker's objective
+    score: Value  # maps a sweep to a monitor's score, or to 1 for an alarm and 0 for none
+    limit: float = 0.0  # maximum score that goes unnoticed
+    # penalty per unit of score above the limit, in units of the aim
     penalty: Annotated[float, Between(0.0, 1e12)] = 1e6
 
     def on(self, clean: Sweep, wedge: Wedge) -> Value:
-        """Return the aim less the penalty."""
+        """Return the value function: the aim minus the penalty."""
         aim = self.aim.on(clean, wedge)
         return lambda sweep: aim(sweep) - self.penalty * max(0.0, float(self.score(sweep)) - self.limit)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SearchResult:
-    """What an attacker found."""
+    """Result of an attacker's search."""
 
-    tampered: Tampered  # the attacked sweep, with noise that the attacker could not know, and what was done to it
-    value: float  # what the plan was worth to the attacker while planning
-    history: NDArray[np.float64]  # (P,) what each plan that was tried was worth, the first is doing nothing
-    queries: int  # how often the victim was queried
+    tampered: Tampered  # the attacked sweep, with other noise than in the search, and the record of its changes
+    value: float  # value of the plan in the search
+    history: NDArray[np.float64]  # (P,) value of each evaluated plan; the first plan is no attack
+    queries: int  # number of queries to the victim
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BlackBox(Checked):
-    """Searches for the plan that is worth most, by asking the victim what it makes of attacked sweeps.
+    """Searches for the plan of highest value by querying the victim with attacked sweeps.
 
-    Plans are tried with range noise and lost beams as the spoofer has them, drawn once; the attack itself meets other
-    noise. A plan that is worth no more than doing nothing is not carried out.
+    In the search, all plans meet the same random sample of the spoofer's noise and losses; the attack itself meets
+    another. A plan that is not better than no attack is not carried out.
     """
 
-    objective: Objective  # what the attacker wants
-    budget: Budget = 150  # most returns; None for every beam of the wedge
-    queries: Annotated[int, Between(2, 10_000_000)] = 200  # most questions to the victim; two are of the clean sweep
+    objective: Objective  # quantity that the attacker maximizes
+    budget: Budget = 150  # maximum number of returns; None for every beam of the wedge
+    queries: Annotated[int, Between(2, 10_000_000)] = 200  # maximum number of queries; two are of the clean sweep
     sector_deg: Sector = 30.0  # width of the wedge
-    # middle of the wedge in the sensor's frame; None aims at an obstacle as a far wall is aimed
+    # center of the wedge in the sensor's frame; None aims at an obstacle, as a far wall does
     azimuth: Azimuth = None
     aim_m: Range = 25.0  # obstacles nearer than this are aimed at
-    placement: Placement = "random"  # how that is aimed, see :class:`WedgeAttack`
+    placement: Placement = "random"  # choice of the obstacle, see :class:`WedgeAttack`
     mode: Mode = "beam_constrained"  # ``beam_constrained`` or ``free_form``
-    spoofer: Spoofer = MEASURED_SPOOFER  # how well the beams are won
+    spoofer: Spoofer = MEASURED_SPOOFER  # success rate and range noise
 
     def __post_init__(self) -> None:
         Checked.__post_init__(self)
         check_free_budget(self.mode, self.budget)
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Tampered:
-        """Return the attacked sweep and what was done to it."""
+        """Return the attacked sweep and the record of its changes."""
         return self.search(sweep, rng).tampered
 
     def search(self, sweep: Sweep, rng: np.random.Generator) -> SearchResult:
-        """Return the attacked sweep with what it is worth and what it cost to find."""
+        """Return the attacked sweep with the value of the plan and the number of queries."""
         aimed = FarWall(self.budget, self.sector_deg, self.azimuth, self.placement, near_m=self.aim_m)
         wedge = aimed.aim(sweep, rng)
         value_of = self.objective.on(sweep, wedge)
@@ -402,12 +402,12 @@ class BlackBox(Checked):
         else:
             space = BeamSearchSpace.of(sweep, wedge, self.budget, self.spoofer)
 
-        def worth(candidate: F64) -> float:
-            """Return what a plan is worth under noise that is the same for every plan."""
+        def evaluate(candidate: F64) -> float:
+            """Return the value of a plan, with the same noise for every plan."""
             noise = np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, 0])))
             return float(value_of(space.tampered(candidate, noise).sweep))
 
-        best = evolution(space, worth, max(0, self.queries - 2), rng)
+        best = evolution(space, evaluate, max(0, self.queries - 2), rng)
         history = np.append(nothing, best.history)
         queries = 2 + len(best.history)
         if best.candidate is None or best.value <= nothing:
@@ -431,4 +431,4 @@ ADAPTIVE: dict[str, AttackFactory] = {
     "adaptive_over_claim_free": partial(_black_box, OverClaim, "free_form"),
     "adaptive_under_claim_free": partial(_black_box, UnderClaim, "free_form"),
 }
-"""Attackers of family 16 by name, as ``ATTACKS``; they need ``Knowledge(estimator=…)`` and ask it 200 times a sweep."""
+"""Attacks of family 16 by name, like ``ATTACKS``; they need ``Knowledge(estimator=…)``: 200 queries per sweep."""

@@ -1,4 +1,4 @@
-"""The role of an attack, what the attacker knows and reaches, and the record of what was touched."""
+"""Protocol of attacks, the attacker's knowledge and wedge, and the record of the changed returns."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from viewshed.fov.estimate import FovEstimator
 from viewshed.sweep import Sweep
 
 ROAD_EXTENT_M = 64.0
-"""Half the side of the grid on roads, for which the ranges of attacks are set."""
+"""Half extent in meters of the road grid, for which the ranges of attacks are set."""
 
 
 @dataclass(frozen=True, slots=True)
 class Wedge:
-    """The azimuths that an attacker reaches, in the sensor's frame."""
+    """Azimuth interval that an attacker reaches, in the sensor's frame."""
 
-    azimuth: float  # middle, radians counter-clockwise from forward
-    width: float  # whole opening in radians, up to 2π
+    azimuth: float  # center, radians counter-clockwise from forward
+    width: float  # full opening in radians, up to 2π
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.azimuth) and 0.0 < self.width <= 2 * np.pi):
@@ -28,7 +28,7 @@ class Wedge:
 
     @classmethod
     def of_sector(cls, azimuth: float, sector_deg: float) -> Wedge:
-        """Return the wedge about ``azimuth`` (radians) that is ``sector_deg`` wide.
+        """Return the wedge centered at ``azimuth`` (radians) with a width of ``sector_deg``.
 
         >>> Wedge.of_sector(0.0, 180.0).width == np.pi
         True
@@ -48,16 +48,16 @@ class Wedge:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Tampered:
-    """A sweep after an attack, with what the attacker did to it. A moved return is one removed and one added.
+    """A sweep after an attack, with the record of its changes. A moved return counts as one removed and one added.
 
     Raises:
-        ValueError: the masks do not fit: rows of ``sweep`` that are not added must be those left of the clean one.
+        ValueError: the masks do not match: as many rows must be not added as are not removed.
     """
 
     sweep: Sweep  # what the sensor reports under attack
-    added: NDArray[np.bool_]  # (N,) bool, rows of ``sweep`` that the attacker made
-    removed: NDArray[np.bool_]  # (M,) bool, rows of the clean sweep that are gone
-    wedge: Wedge | None = None  # where the attacker works, or None if anywhere
+    added: NDArray[np.bool_]  # (N,) bool, forged rows of ``sweep``
+    removed: NDArray[np.bool_]  # (M,) bool, removed rows of the clean sweep
+    wedge: Wedge | None = None  # attacked wedge, or None if the attack is not limited to one
 
     def __post_init__(self) -> None:
         for name in ("added", "removed"):
@@ -71,27 +71,26 @@ class Tampered:
 
 
 class Attack(Protocol):
-    """Anything that tampers with a sweep. The clean sweep is never modified; the same generator, the same bytes."""
+    """An attack on a sweep. The clean sweep is never modified; equal generators give equal bytes."""
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Tampered:
-        """Return the attacked sweep and what was done to it."""
+        """Return the attacked sweep and the record of its changes."""
         ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Knowledge:
-    """What an attacker has beside the sweep that is attacked."""
+    """What an attacker knows besides the attacked sweep."""
 
-    # sweeps of the same sensor before this one, the oldest first; the first is where phantoms appear, the last is what
-    # is replayed
+    # earlier sweeps of the same sensor, the oldest first: phantoms appear at the first, replay plays the last
     earlier: tuple[Sweep, ...] = ()
-    estimator: FovEstimator | None = None  # what the victim runs, for attackers that adapt to it
-    # half the side of the victim's grid; ranges are in proportion to it, 64 m on roads
+    estimator: FovEstimator | None = None  # the victim's estimator, for adaptive attacks
+    # half extent of the victim's grid; ranges of attacks are proportional to it, 64 m on roads
     half_extent_m: float = ROAD_EXTENT_M
 
     @property
     def scale(self) -> float:
-        """Ranges of an attack as a multiple of those on roads."""
+        """Factor on an attack's ranges, 1 on roads."""
         return self.half_extent_m / ROAD_EXTENT_M
 
 

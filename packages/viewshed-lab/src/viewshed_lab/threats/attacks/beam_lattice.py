@@ -1,8 +1,8 @@
-"""The beams of a sweep: which pixel (ring, column) each return has, which are empty, where each starts and points.
+"""The beams of a sweep: pixel (ring, column) of each return, empty pixels, start and direction of each beam.
 
-They follow from the sweep and its sensor's beam table alone. A sweep of a sensor in motion has its points in one frame.
-Where it carries times, the motion is that of a constant velocity and a constant turn about the world's vertical which
-puts the returns on the table's beams. Rays: the beams that an attacker reaches, as straight lines.
+They are computed from the sweep and its sensor's beam table alone. A sweep of a moving sensor has its points in one
+frame. If it has times, the motion is estimated: constant velocity and turn rate about the world's vertical, fitted so
+that the returns lie on the table's beams. Rays: beams as straight lines.
 """
 
 from __future__ import annotations
@@ -27,36 +27,36 @@ from viewshed_lab.threats.attacks.base import Wedge
 Ints = NDArray[np.int32]
 
 ON_BEAM_M = 0.002
-"""Three quarters of the returns must lie this near to the table's beams, or the table does not say where they are."""
+"""Maximum distance of three quarters of the returns from the table's beams; else the table is not used."""
 
 _FITTED = 1500
-"""Returns that the fit looks at; a revolution has some ten thousand."""
+"""Approximate number of returns sampled for the fit; a revolution has tens of thousands."""
 
-_FEWEST = 50
+_MIN_RETURNS = 50
 
 _LIMITS_M = (3.0, 0.05, 0.05)
-"""Rounds of the fit: returns farther beside their beams than this do not count."""
+"""Outlier limit of each round of the fit: distance of a return from its beam."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Firing:
-    """When and from where each of C columns was fired, in the sensor's reference frame."""
+    """Azimuth, time and sensor pose of each of the C firing columns, in the sensor's reference frame."""
 
     column: Ints  # (N,) int32 column of each return
-    azimuth: F64  # (C,) float64 firing azimuth in radians, by the sensor's heading at that time
-    turn: F64  # (C, 3, 3) float64 rotations of the sensor against its reference
+    azimuth: F64  # (C,) float64 firing azimuth in radians, relative to the sensor's heading at that time
+    turn: F64  # (C, 3, 3) float64 rotations of the sensor relative to the reference frame
     shift_m: F64  # (C, 3) float64 positions of the sensor
-    time_s: NDArray[np.float32] | None = None  # (C,) float32 seconds, or None where the sweep has none
+    time_s: NDArray[np.float32] | None = None  # (C,) float32 seconds, or None if the sweep has no times
 
     @classmethod
     def at_rest(cls, column: Ints, columns: int, phase: float, time_s: NDArray[np.float32] | None = None) -> Firing:
-        """Return that of a sensor that does not move, its azimuths even, the first at -π and ``phase`` steps."""
+        """Return the firing of a static sensor, with equal azimuth steps from -π plus ``phase`` steps on."""
         azimuth = (np.arange(columns, dtype=np.float64) + phase) * (2 * np.pi / columns) - np.pi
         return cls(column, azimuth, np.tile(np.eye(3), (columns, 1, 1)), np.zeros((columns, 3)), time_s)
 
 
 def fit_firing(sweep: Sweep, model: LidarModel) -> Firing | None:
-    """Return the firing that explains the returns within 2 mm, or None where none does; the sweep must have rings."""
+    """Return the firing that fits 75 % of the returns within 2 mm, or None without one; the sweep must have rings."""
     if len(sweep) == 0 or sweep.ring is None:
         return None
     time_s = sweep.time_s
@@ -65,7 +65,7 @@ def fit_firing(sweep: Sweep, model: LidarModel) -> Firing | None:
 
 
 def _fit_at_rest(sweep: Sweep, model: LidarModel) -> Firing | None:
-    """Columns by azimuth, with the phase that most returns share."""
+    """Fit columns by azimuth, with a common phase (circular mean)."""
     ring, columns = _rings(sweep), model.azimuth_columns
     azimuth = np.arctan2(sweep.points[:, 1], sweep.points[:, 0]).astype(np.float64)
     position = (azimuth - model.azimuth_offset[ring] + np.pi) / model.azimuth_step
@@ -78,7 +78,7 @@ def _fit_at_rest(sweep: Sweep, model: LidarModel) -> Firing | None:
 
 
 def _fit_in_motion(sweep: Sweep, model: LidarModel) -> Firing | None:
-    """Columns by time, then the motion about the middle of the revolution by Gauss and Newton's method."""
+    """Fit columns by time, then the motion relative to the middle of the revolution by the Gauss-Newton method."""
     step_s = _column_time_s(sweep, model.azimuth_columns)
     if step_s is None or sweep.time_s is None:
         return None
@@ -93,7 +93,7 @@ def _fit_in_motion(sweep: Sweep, model: LidarModel) -> Firing | None:
     motion = np.zeros(4)
     for limit_m in _LIMITS_M:
         _, matrix, right, used = _fit_step(sweep, model, firing, motion, limit_m)
-        if used < _FEWEST:
+        if used < _MIN_RETURNS:
             return None
         motion = motion + np.linalg.lstsq(matrix, right, rcond=None)[0]
     off_m, *_ = _fit_step(sweep, model, firing, motion, np.inf)
@@ -111,7 +111,7 @@ def _rings(sweep: Sweep) -> NDArray[np.int16]:
 def _fit_step(
     sweep: Sweep, model: LidarModel, firing: Firing, motion: F64, limit_m: float
 ) -> tuple[F64, F64, F64, int]:
-    """Return the residuals (n,) of a sample of the returns, and the normal equations for a better motion."""
+    """Return residuals (n,) of sampled returns, normal equations of a Gauss-Newton step, and the number of inliers."""
     rows = _sample(sweep)
     step: tuple[F64, F64, F64, int] = _residuals(
         sweep.points[rows], _rings(sweep)[rows], firing.column[rows], firing.azimuth, _since_middle_s(firing),
@@ -121,13 +121,13 @@ def _fit_step(
 
 
 def _column_time_s(sweep: Sweep, columns: int) -> float | None:
-    """Return the time between two columns, or None where the times do not give it."""
+    """Return the time between two columns in seconds, or None if the times do not determine it."""
     time_s = np.zeros(0) if sweep.time_s is None else sweep.time_s.astype(np.float64)
     gaps = np.diff(time_s)
     if len(gaps) and gaps.min() < 0:
         gaps = np.diff(np.unique(time_s))
     gaps = gaps[gaps > 0]
-    if len(sweep) < _FEWEST or not 8 <= len(gaps) + 1 <= columns:
+    if len(sweep) < _MIN_RETURNS or not 8 <= len(gaps) + 1 <= columns:
         return None
     return float(gaps.sum() / np.rint(gaps / gaps.min()).sum())
 
@@ -175,30 +175,30 @@ def _residuals(
     axis: Any,
     limit_m: float,
 ) -> Any:
-    """Return how far returns lie beside their beams (n,) meters, and one step of Gauss and Newton towards the motion.
+    """Return the distances of returns from their beams (n,) in meters, and the normal equations of a Gauss-Newton step.
 
-    ``motion`` (4,) is a velocity and a turn rate about ``axis`` (3,). The step's normal equations, a matrix (4, 4) and
-    a right side (4,), are summed over the returns less than ``limit_m`` beside their beam; their number comes last.
-    Points (n, 3), ring and column (n,) are the returns'; azimuth and time from the middle of the revolution (C,) the
-    columns'; elevation, azimuth offset and height of the start (R,) the rings'.
+    ``motion`` (4,) is a velocity and a turn rate about ``axis`` (3,). The normal equations, a matrix (4, 4) and a right
+    side (4,), are summed over the returns less than ``limit_m`` from their beam; the number of these comes last.
+    Per return: points (n, 3), ring and column (n,). Per column: azimuth and time from the middle of the revolution
+    (C,). Per ring: elevation, azimuth offset and height of the beam's start (R,).
     """
     off_m = np.empty(points.shape[0])
     matrix, right, used = np.zeros((4, 4)), np.zeros(4), 0
     miss, slope = np.empty(3), np.empty((4, 3))
     for n in range(points.shape[0]):
-        # The beam as the table has it, turned and moved with the sensor by the time of its column.
+        # The table's beam, turned and moved with the sensor to the time of its column.
         r, s = ring[n], since_s[column[n]]
         angle, flat = azimuth[column[n]] + offset[r], np.cos(elevation[r])
         direction = _rotate((flat * np.cos(angle), flat * np.sin(angle), np.sin(elevation[r])), axis, motion[3] * s)
         start = _rotate((0.0, 0.0, origin_m[r]), axis, motion[3] * s)
         arm = (points[n, 0] - motion[0] * s, points[n, 1] - motion[1] * s, points[n, 2] - motion[2] * s)
         reach = (arm[0] - start[0], arm[1] - start[1], arm[2] - start[2])
-        # The residual: the part of the way to the return that is across the beam.
+        # The residual: the part of the vector to the return that is perpendicular to the beam.
         along = reach[0] * direction[0] + reach[1] * direction[1] + reach[2] * direction[2]
         for k in range(3):
             miss[k] = reach[k] - along * direction[k]
         off_m[n] = np.sqrt(miss[0] ** 2 + miss[1] ** 2 + miss[2] ** 2)
-        # J'J and J'r of the returns that are no outliers.
+        # J'J and J'r of the inliers.
         if off_m[n] < limit_m:
             used += 1
             _residual_slopes(direction, _cross(axis, arm), s, slope)
@@ -211,9 +211,9 @@ def _residuals(
 
 @njit(cache=True, nogil=True, inline="always", error_model="numpy")
 def _residual_slopes(direction: Any, sideways: Any, s: Any, slope: Any) -> None:
-    """Fill ``slope`` (4, 3): how the residual of one return follows velocity and turn rate.
+    """Fill ``slope`` (4, 3): the negative derivative of one return's residual by velocity and turn rate.
 
-    Their part across the beam, times the time; ``sideways`` is what a turn of one radian moves the return by.
+    It is the motion perpendicular to the beam times the time ``s``; ``sideways`` (3,) is that per radian of turn.
     """
     turning = sideways[0] * direction[0] + sideways[1] * direction[1] + sideways[2] * direction[2]
     for k in range(3):
@@ -237,33 +237,33 @@ def _rotate(v: Any, axis: Any, angle: Any) -> Any:
 
 
 _SAMPLED = 4000
-"""Returns from which the phase of the columns is estimated."""
+"""Approximate number of returns sampled to estimate the phase of the columns."""
 
 _EDGE = 1e-6
-"""Radians from the edge of a wedge at which a return counts as outside, more than rounding can move it."""
+"""Margin in radians at the edges of a wedge, larger than rounding errors."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BeamLattice:
     """The beams of one sweep, R rings by C columns."""
 
-    ring: NDArray[np.int16]  # (N,) int16 beam of each return, -1 where none explains it
+    ring: NDArray[np.int16]  # (N,) int16 ring of each return, -1 if unknown
     elevation: F64  # (R,) float64 radians
-    azimuth_offset: F64  # (R,) float64 radians against the firing azimuth
+    azimuth_offset: F64  # (R,) float64 radians relative to the firing azimuth
     origin_m: F64  # (R,) float64 height of the start of each beam
-    firing: Firing  # when and from where each column was fired
-    rows: NDArray[np.int32]  # (R, C) int32 row of the first return of each pixel, -1 where there is none
+    firing: Firing  # azimuth, time and sensor pose of each column
+    rows: NDArray[np.int32]  # (R, C) int32 row of the first return of each pixel, -1 for none
     empty: NDArray[np.bool_]  # (R, C) bool, beams that were fired and did not return
-    step_m: float  # the sensor's step of range, 0 where it is not known
-    by_column: bool  # the sweep is stored column by column, not ring by ring
-    sense: int  # +1 where ring (or column) ascends within a column (or ring) as it is stored, else -1
-    seam: int  # where the sweep is stored ring by ring, the lowest column that lies at an end of the stored rings
+    step_m: float  # range resolution of the sensor, 0 if unknown
+    by_column: bool  # whether the sweep is stored column by column, not ring by ring
+    sense: int  # +1 if ring (or column) ascends within a stored column (or ring), else -1
+    seam: int  # first column of the stored rings, if the sweep is stored ring by ring
 
     def of_returns(self, points: NDArray[np.float32], row: NDArray[np.intp]) -> tuple[F64, F64, F64]:
         """Return starts (K, 3) in meters, directions (K, 3) and depths (K,) in meters of the beams of some returns.
 
-        A beam starts ``origin_m`` of its ring up the sensor's axis, as that stood when its column fired; a return of no
-        ring starts at the sensor itself.
+        A beam starts at its ring's ``origin_m`` on the sensor's axis at the time of its column; a return without a ring
+        starts at the sensor's origin.
         """
         ring, column = self.ring[row], self.firing.column[row]
         lift_m = np.where(ring >= 0, self.origin_m[ring], 0.0)[:, None]
@@ -271,7 +271,7 @@ class BeamLattice:
         return start_m, *_towards(np.take(points, row, 0) - start_m)
 
     def nearest_pixels(self, points: NDArray[Any]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """Return the ring and column (K,) of the beams that pass nearest to points (K, 3), seen from the sensor."""
+        """Return ring (K,) and column (K,) of the beams nearest to points (K, 3), as seen from the sensor."""
         x, y, z = points.astype(np.float64).T
         rings = np.argsort(self.elevation, kind="stable")
         ascending = self.elevation[rings]
@@ -284,12 +284,13 @@ class BeamLattice:
     def storage_keys(self, ring: NDArray[Any], column: NDArray[Any]) -> tuple[NDArray[np.int64], F64]:
         """Return the row of the nearest return (K,) and a key (K,) that sorts pixels among the sweep's rows.
 
-        A key is a row, plus less than one half in the order of storage; both are -1 and N for a sweep without returns.
+        A key is the row plus or minus less than one half, by the order of storage. Without any return, the row is -1
+        and the key N.
         """
         rows = self.rows if self.by_column else np.roll(self.rows, -self.seam, axis=1)
         column = column if self.by_column else (column - self.seam) % rows.shape[1]
         nearest, ahead = nearest_rows(rows, ring, column, self.by_column)
-        # Before or after the neighbor's row, by a quarter and a little more the farther away the neighbor is.
+        # Before or after the neighbor's row, by 0.25 plus up to 0.2 that grows with the distance of the neighbor.
         side = np.where(ahead >= 0, self.sense, -self.sense)
         key = nearest + side * (0.25 + 0.2 * np.minimum(np.abs(ahead) / self.rows.size, 1.0))
         return nearest, np.where(nearest >= 0, key, float(len(self.ring)))
@@ -297,10 +298,10 @@ class BeamLattice:
 
 @lru_cache(maxsize=2)
 def lattice_of(sweep: Sweep) -> BeamLattice | None:
-    """Return the beams of ``sweep``, or None where they are not known: no rings, not even by the order of the points.
+    """Return the beams of ``sweep``, or None if it has no rings and its order of points does not reveal them.
 
-    Exact where the returns lie on the beams of the sweep's model within 2 mm; else columns are those of the returns
-    themselves and empty beams point where the median of their ring does.
+    Exact if the returns lie within 2 mm of the beams of the sweep's model. Otherwise columns are estimated from the
+    returns, and empty beams have the estimated elevation of their ring.
     """
     model = sweep.model
     if model is not None and sweep.ring is not None:
@@ -326,16 +327,16 @@ def _lattice(
     rows, several = _pixel_rows(ring, firing.column, (len(elevation), columns))
     by_column, sense, ends = _storage_order(ring, firing.column)
     if not exact and not by_column:
-        several[ring[ends], firing.column[ends]] = True  # the end of a ring is as blurred as its azimuths
+        several[ring[ends], firing.column[ends]] = True  # the ends of a ring are as uncertain as its azimuths
     empty = _empty_pixels(rows, several, 0 if exact else JITTER_COLUMNS, exact)
-    # The column at which rings begin, by the circular mean of the columns at their ends.
+    # The column at which rings begin: the circular mean of the columns at their ends.
     turn = np.angle(np.exp(2j * np.pi * firing.column[ends] / columns).sum()) / (2 * np.pi)
     seam = 0 if by_column or len(ends) == 0 else int(np.ceil(turn * columns)) % columns
     return BeamLattice(ring, elevation, azimuth_offset, origin_m, firing, rows, empty, step_m, by_column, sense, seam)
 
 
 def _recovered_firing(sweep: Sweep, beams: RingAssignment) -> Firing:
-    """Columns of the returns themselves, their common phase at the middle of a column."""
+    """Return columns estimated from the azimuths of the returns, with their common phase (circular mean)."""
     position = (np.arctan2(sweep.points[:, 1], sweep.points[:, 0]) + np.float32(np.pi)) / np.float32(beams.azimuth_step)
     sampled = position[:: max(len(position) // _SAMPLED, 1)].astype(np.float64)
     phase = float(np.angle(np.exp(2j * np.pi * sampled).sum())) / (2 * np.pi) % 1.0
@@ -344,7 +345,7 @@ def _recovered_firing(sweep: Sweep, beams: RingAssignment) -> Firing:
 
 
 def _storage_order(ring: NDArray[np.int16], column: NDArray[np.int32]) -> tuple[bool, int, NDArray[np.intp]]:
-    """Return whether returns are stored column by column, in which sense, and the rows at the ends of stored rings."""
+    """Return whether returns are stored column by column, the sense (+1 or -1), and the rows at the ends of rings."""
     up, along = np.diff(ring), np.diff(column)
     changes = up != 0
     by_column = bool(changes.sum() * 2 > len(up))
@@ -355,20 +356,20 @@ def _storage_order(ring: NDArray[np.int16], column: NDArray[np.int32]) -> tuple[
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rays:
-    """K beams, in the sensor's frame: first those that returned, in the order of the sweep, then those that did not."""
+    """K beams in the sensor's frame: first those with returns, in the order of the sweep, then those without."""
 
-    row: NDArray[np.intp]  # (K,) row of the return in the sweep, -1 where there is none
-    ring: NDArray[np.intp]  # (K,) beam, -1 where it is not known
-    column: NDArray[np.intp]  # (K,) azimuth column, -1 where it is not known
+    row: NDArray[np.intp]  # (K,) row of the return in the sweep, -1 for none
+    ring: NDArray[np.intp]  # (K,) ring, -1 if unknown
+    column: NDArray[np.intp]  # (K,) azimuth column, -1 if unknown
     start_m: F64  # (K, 3) float64 meters
     direction: F64  # (K, 3) float64 unit vectors
-    depth_m: F64  # (K,) float64 meters from the start to the return, +inf where there is none
+    depth_m: F64  # (K,) float64 meters from the start to the return, +inf for none
 
     def __len__(self) -> int:
         return len(self.row)
 
     def select(self, keep: NDArray[Any]) -> Rays:
-        """Return the rays that ``keep`` ((K,) mask or indices) names."""
+        """Return the rays that ``keep`` (mask (K,) or indices) selects."""
         return Rays(*(getattr(self, f.name)[keep] for f in fields(self)))
 
     def at(self, depth_m: F64) -> NDArray[np.float32]:
@@ -377,7 +378,7 @@ class Rays:
 
 
 def within(points: NDArray[Any], wedge: Wedge) -> Mask:
-    """Return which points (K, 3) lie in the wedge, clear of its edges by more than rounding can move them."""
+    """Return the mask (K,) of points (K, 3) in the wedge, with a small margin at its edges against rounding."""
     if wedge.width >= 2 * np.pi:
         return np.ones(len(points), np.bool_)
     x, y = points[:, 0].astype(np.float64), points[:, 1].astype(np.float64)
@@ -388,10 +389,10 @@ def within(points: NDArray[Any], wedge: Wedge) -> Mask:
 
 
 def rays_in(sweep: Sweep, wedge: Wedge, *, empty: bool = False) -> Rays:
-    """Return the beams of ``sweep`` that returned in the wedge and, with ``empty``, those there that did not.
+    """Return the beams of ``sweep`` with returns in the wedge and, with ``empty``, also those without.
 
     Raises:
-        ValueError: ``empty`` beams are needed and the sweep's beams are not known.
+        ValueError: ``empty`` is requested and the sweep's beams are unknown.
     """
     lattice = lattice_of(sweep)
     if empty and lattice is None and len(sweep):
@@ -436,22 +437,22 @@ def _empty_rays(lattice: BeamLattice, wedge: Wedge) -> Rays:
 def _pixel_rows(
     ring: NDArray[np.int16], column: NDArray[np.int32], shape: tuple[int, int]
 ) -> tuple[NDArray[np.int32], Mask]:
-    """Return the first row of each pixel (R, C), -1 where there is none, and which pixels (R, C) hold several.
+    """Return the first row of each pixel (R, C), -1 for none, and the mask (R, C) of pixels with several returns.
 
-    ``ring`` and ``column`` (N,) are those of the returns; ring -1 has no pixel.
+    ``ring`` and ``column`` (N,) are those of the returns; returns with ring -1 have no pixel.
     """
     known = np.flatnonzero(ring >= 0)
     pixel = ring[known].astype(np.intp) * shape[1] + column[known]
     rows = np.full(shape, -1, np.int32)
-    rows.reshape(-1)[pixel[::-1]] = known[::-1]  # of several rows of a pixel the last that is written stays: the first
+    rows.reshape(-1)[pixel[::-1]] = known[::-1]  # reversed, so that the first row of a pixel is written last
     return rows, (np.bincount(pixel, minlength=rows.size) > 1).reshape(shape)
 
 
 def _empty_pixels(rows: NDArray[np.int32], several: Mask, jitter: int, all_rings: bool) -> Mask:
-    """Return which pixels (R, C) are beams that were fired and did not return.
+    """Return the mask (R, C) of beams that were fired and did not return.
 
-    Columns without any return were not fired, and rings without any may not exist (``all_rings`` says that they do). A
-    second return of a pixel is the neighbor's, within ``jitter`` columns, whose pixel only looks empty.
+    Columns without any return were not fired; rings without any count only with ``all_rings``. A second return in a
+    pixel belongs to a neighbor within ``jitter`` columns, whose pixel only looks empty.
     """
     returned = rows >= 0
     empty: Mask = ~returned & returned.any(axis=0)
@@ -464,10 +465,10 @@ def _empty_pixels(rows: NDArray[np.int32], several: Mask, jitter: int, all_rings
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def nearest_rows(rows: Any, ring: Any, column: Any, by_column: bool) -> Any:
-    """Return for each pixel (K,) the row of the nearest return and how many pixels it lies before the pixel.
+    """Return for each pixel (K,) the row of the nearest return, and by how many pixels the return precedes it.
 
-    Nearest in the column, or in the ring where the sweep is stored ring by ring; else in the next columns or rings.
-    The row is -1 where there is no return at all.
+    The search starts in the pixel's column (or ring, if the sweep is stored ring by ring) and goes on to the next
+    ones. The row is -1 if there is no return at all.
     """
     row, ahead = np.full(ring.shape[0], -1, np.int64), np.zeros(ring.shape[0], np.int64)
     for k in range(ring.shape[0]):
@@ -480,7 +481,7 @@ def nearest_rows(rows: Any, ring: Any, column: Any, by_column: bool) -> Any:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _nearest_by_columns(rows: Any, r: Any, c: Any) -> Any:
-    """Search the pixel's own column, then one column earlier at a time: those are stored before it."""
+    """Search the pixel's own column, then the earlier columns, which are stored before it."""
     rings, columns = rows.shape
     for away in range(columns):
         row, ahead = _nearest_in_line(rows[:, (c - away) % columns], r)
@@ -491,7 +492,7 @@ def _nearest_by_columns(rows: Any, r: Any, c: Any) -> Any:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _nearest_by_rings(rows: Any, r: Any, c: Any) -> Any:
-    """Search the pixel's own ring, then the rings below and above it, farther and farther away."""
+    """Search the pixel's own ring, then the rings below and above it at growing distance."""
     rings, columns = rows.shape
     for away in range(rings):
         for side in (r - away, r + away):
@@ -504,7 +505,7 @@ def _nearest_by_rings(rows: Any, r: Any, c: Any) -> Any:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _nearest_in_line(rows: Any, at: Any) -> Any:
-    """Search a column or a ring; rows are stored from its first pixel on: beyond its ends is no neighbor."""
+    """Search a column or a ring; it does not wrap around."""
     for away in range(rows.shape[0]):
         if at - away >= 0 and rows[at - away] >= 0:
             return rows[at - away], away
@@ -519,8 +520,8 @@ def beams_of_pixels(
 ) -> Any:
     """Return starts (K, 3) and unit directions (K, 3) of the beams of pixels (K,), by the beam table and the motion.
 
-    ``elevation``, azimuth ``offset`` and ``origin_m`` (R,) are the rings'; firing ``azimuth`` (C,), rotations ``turn``
-    (C, 3, 3) and positions ``shift_m`` (C, 3) the columns'.
+    Per ring: ``elevation``, azimuth ``offset`` and ``origin_m`` (R,). Per column: firing ``azimuth`` (C,), rotations
+    ``turn`` (C, 3, 3) and positions ``shift_m`` (C, 3).
     """
     start, direction = np.empty((ring.shape[0], 3)), np.empty((ring.shape[0], 3))
     flat, upward = np.cos(elevation), np.sin(elevation)

@@ -1,6 +1,6 @@
-"""Attackers who know every rule of a monitor and keep them as far as physics permits (family 15).
+"""Attacks that know every rule of a monitor and obey them as far as physics permits (family 15).
 
-A whole object vanishes before the background that its neighborhood shows; a real object appears a second time.
+A whole object vanishes, replaced by the background beside it; or a real object appears a second time.
 """
 
 from __future__ import annotations
@@ -33,70 +33,70 @@ from viewshed_lab.threats.attacks.spoofer import (
 Ints = NDArray[np.intp]
 
 EXACT_SPOOFER = Spoofer(1.0, 0.0, 0.0)
-"""One that wins every beam it aims at and adds no noise: its ranges have that of the sensor already."""
+"""Wins every attacked beam and adds no noise: the planned ranges already contain the sensor's noise."""
 
 _JUMP_M = 1.2
-"""Returns of neighboring beams belong to one object where their depths differ by less."""
+"""Returns of neighboring beams belong to one object if their depths differ by less."""
 
 _REACH = 2
-"""Beams are neighbors up to this number of rings and columns apart: a lost one does not cut an object in two."""
+"""Maximum distance of neighboring beams in rings or columns; over 1, so that a lost beam does not split an object."""
 
 _BASE_DEPTH_M = 0.5
-"""Returns below an object, too low for an obstacle, and less than this nearer or farther, are the object's base."""
+"""Returns below an object, too low for an obstacle, are its base if their depths differ by less than this."""
 
 _SIDE = 8
-"""Columns to either side of a gap whose beams tell what is behind it."""
+"""Number of columns on either side of an object from which its background is estimated."""
 
 _BEHIND_M = 0.3
-"""Least distance of a background behind what it replaces."""
+"""Minimum distance of the background behind the object that it replaces."""
 
-_FEWEST = 12
-"""Returns of the smallest object that is worth an attack."""
+_MIN_RETURNS = 12
+"""Minimum number of returns of an object that is attacked."""
 
 _VANISHING_SHARE = 0.5
-"""An object vanishes where something is known to lie behind at least this share of its beams."""
+"""Minimum share of an object's beams with a known background."""
 
 _DOWN = -0.005
-"""Beams that fall by less than this a meter show no ground that could be continued."""
+"""Maximum z of the direction of a beam that shows ground; flatter beams show none that could be continued."""
 
 _ON_GROUND_M = 0.8
-"""What stands on the ground has a return lower than this; what hangs hides nothing."""
+"""The lowest return of an object on the ground is lower than this; hanging objects hide nothing."""
 
 _OPEN_M = 3.0
-"""Half of the beams of a copy went farther than it by at least this."""
+"""Minimum of the median distance between a copy and the returns behind it."""
 
 _OCCLUDED_SHARE = 0.1
-"""Beams of a copy that something nearer may keep."""
+"""Maximum share of a copy's beams that a nearer object occludes."""
 
 _PLACES = 300
-"""Objects and azimuths that are tried for a copy."""
+"""Number of random pairs of object and azimuth that are tried for a copy."""
 
 _MARGIN_DEG = 4.0
-"""Margin of a wedge about what vanishes or appears: returns seen from a start beside the sensor move sideways."""
+"""Margin of the wedge: a beam that starts beside the sensor's origin has other azimuths at other depths."""
 
 _GROUND_M = 0.2
-"""Largest difference of the ground's height below a copy and below its object."""
+"""Maximum difference of the ground's height below a copy and below its object."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _RayImage:
-    """All beams of a sweep, R rings by C columns."""
+    """Range image of a sweep, R rings by C columns, with its objects."""
 
-    rays: Rays  # (K,) of the sweep
-    number: Ints  # (R, C) of the ray of each pixel, -1 where none was fired
-    depth_m: F64  # (R, C) +inf where there is no return
-    objects: Ints  # (R, C) number of the object that each pixel belongs to, -1 for none
-    count: int  # how many objects there are
+    rays: Rays  # (K,) all beams with a ring
+    number: Ints  # (R, C) index of the pixel's ray, -1 if none was fired
+    depth_m: F64  # (R, C) +inf without a return
+    objects: Ints  # (R, C) index of the pixel's object, -1 for none
+    count: int  # number of objects
 
     @property
     def obstacle(self) -> Mask:
-        """Whether each pixel (R, C) belongs to an object."""
+        """Mask (R, C) of the pixels that belong to an object."""
         return self.objects >= 0
 
 
 @lru_cache(maxsize=2)
 def _image_of(sweep: Sweep) -> _RayImage:
-    """Return the beams of a sweep with its objects: obstacles that hang together in depth."""
+    """Return the range image of a sweep; its objects are the connected components of the obstacle pixels."""
     rays = rays_in(sweep, FULL_CIRCLE, empty=True)
     rays = rays.select(rays.ring >= 0)
     lattice = lattice_of(sweep)
@@ -110,13 +110,13 @@ def _image_of(sweep: Sweep) -> _RayImage:
 
 
 def _objects(depth_m: F64, obstacle: Mask) -> tuple[Ints, int]:
-    """Return the object (R, C) of each obstacle pixel and their number: neighbors that are about as far away."""
+    """Return the object index (R, C) of each obstacle pixel and their number: neighbors of similar depth connect."""
     pixels = np.arange(depth_m.size).reshape(depth_m.shape)
     pairs = []
     for step in range(1, _REACH + 1):
-        turned = np.roll(np.where(obstacle, depth_m, np.inf), -step, axis=1)
+        shifted_m = np.roll(np.where(obstacle, depth_m, np.inf), -step, axis=1)
         with np.errstate(invalid="ignore"):
-            along = obstacle & (np.abs(turned - depth_m) < _JUMP_M)
+            along = obstacle & (np.abs(shifted_m - depth_m) < _JUMP_M)
             up = obstacle[:-step] & obstacle[step:] & (np.abs(depth_m[:-step] - depth_m[step:]) < _JUMP_M)
         pairs.append(np.stack([pixels[along], np.roll(pixels, -step, axis=1)[along]]))
         pairs.append(np.stack([pixels[:-step][up], pixels[step:][up]]))
@@ -130,19 +130,19 @@ def _objects(depth_m: F64, obstacle: Mask) -> tuple[Ints, int]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Object:
-    """The pixels of one object, its low parts included."""
+    """The pixels of one object, including its base."""
 
     ring: Ints  # (P,) of its pixels
-    column: Ints  # (P,) from ``first`` on, without the turn at the end of the circle
+    column: Ints  # (P,) relative to ``first``, not wrapped
     first: int  # its first column
-    columns: int  # how many columns it has
+    columns: int  # number of its columns
 
 
 @lru_cache(maxsize=2)
 def _objects_in_reach(sweep: Sweep, near_m: float, sector_deg: float, budget: int | None) -> list[_Object]:
-    """Return the objects nearer than ``near_m`` that stand on the ground, fit into a sector and have few enough beams.
+    """Return the objects nearer than ``near_m`` on the ground, within the sector's width and the budget of beams.
 
-    An object whose returns are too few is none.
+    Objects with too few returns are left out.
     """
     image = _image_of(sweep)
     circle = image.depth_m.shape[1]
@@ -150,28 +150,28 @@ def _objects_in_reach(sweep: Sweep, near_m: float, sector_deg: float, budget: in
     label, depth_m = image.objects[ring, column], image.depth_m[ring, column]
     near = np.full(image.count, np.inf)
     np.minimum.at(near, label, depth_m)
-    fits = (near < near_m) & (np.bincount(label, minlength=image.count) >= _FEWEST)
-    found = []
+    fits = (near < near_m) & (np.bincount(label, minlength=image.count) >= _MIN_RETURNS)
+    objects = []
     for number in np.flatnonzero(fits):
         mine = label == number
         first, width = _arc(column[mine], circle)
         rays = image.rays.select(image.number[ring[mine], column[mine]])
         if width * 360.0 / circle + _MARGIN_DEG < sector_deg and _lowest_m(sweep, rays, rays.depth_m) < _ON_GROUND_M:
             ahead = (column[mine] - first) % circle
-            found.append(_with_base(image, ring[mine], ahead, first, width))
-    return [one for one in found if budget is None or len(one.ring) <= budget]
+            objects.append(_with_base(image, ring[mine], ahead, first, width))
+    return [one for one in objects if budget is None or len(one.ring) <= budget]
 
 
 def _arc(column: Ints, circle: int) -> tuple[int, int]:
-    """Return the first column and the width of the shortest arc that holds all of some columns."""
-    some = np.unique(column)
-    gap = np.diff(some, append=some[0] + circle)
+    """Return the first column and the width of the shortest arc that covers the given columns of a circle."""
+    columns = np.unique(column)
+    gap = np.diff(columns, append=columns[0] + circle)
     widest = int(gap.argmax())
-    return int(some[(widest + 1) % len(some)]), int(circle - gap[widest] + 1)
+    return int(columns[(widest + 1) % len(columns)]), int(circle - gap[widest] + 1)
 
 
 def _with_base(image: _RayImage, ring: Ints, ahead: Ints, first: int, width: int) -> _Object:
-    """Return an object with the pixels right below it in each column that are about as near, too low for obstacles."""
+    """Return the object with its base: in each column, lower pixels of similar depth that are too low for obstacles."""
     circle = image.depth_m.shape[1]
     lowest = np.full(width, image.depth_m.shape[0])
     np.minimum.at(lowest, ahead, ring)
@@ -190,87 +190,87 @@ def _with_base(image: _RayImage, ring: Ints, ahead: Ints, first: int, width: int
 
 @dataclass(frozen=True, slots=True)
 class _OfObjects(Checked):
-    """The parameters that attacks on the objects near a sensor share."""
+    """Parameters of the attacks on objects near the sensor."""
 
-    budget: Budget = None  # objects with more beams are left alone; None for any
-    sector_deg: Sector = 30.0  # objects must be narrower than this
-    azimuth: Azimuth = None  # in the sensor's frame, of the object nearest to it or of the copy; None draws one
-    near_m: Range = 25.0  # objects nearer than this vanish, or are copied
-    spoofer: Spoofer = EXACT_SPOOFER  # how well the beams are won
+    budget: Budget = None  # maximum number of beams of an object; None for any
+    sector_deg: Sector = 30.0  # maximum width of an object
+    azimuth: Azimuth = None  # of the vanishing object (nearest to it) or of the copy, sensor's frame; None draws one
+    near_m: Range = 25.0  # objects nearer than this vanish or are copied
+    spoofer: Spoofer = EXACT_SPOOFER  # success rate and range noise
 
 
 @dataclass(frozen=True, slots=True)
 class VanishedObject(_OfObjects):
     """A whole object vanishes: each of its beams reports what the same ring shows beside the object.
 
-    Ground goes on where both sides show ground, at the heights that they show; else the farther side goes on. No part
-    of the object is left, nothing lies below the ground, nothing is seen through; noise and lost beams are as beside
-    it. Without an object that fits into the sector nothing is done.
+    Where both sides show ground, ground continues at their heights; else the farther side continues. No part of the
+    object is left, no return lies below the ground or behind a surface, and noise and lost beams match those beside
+    it. Without an object that fits into the sector, the sweep is unchanged.
     """
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Tampered:
-        """Return the attacked sweep and what was done to it."""
+        """Return the attacked sweep and the record of its changes."""
         image = _image_of(sweep)
         objects = _objects_in_reach(sweep, self.near_m, self.sector_deg, self.budget)
         if self.azimuth is None:
-            objects = _drawn(objects, rng)
-        else:  # the nearest first
-            apart = np.array([_azimuth_of(image, one) for one in objects]) - self.azimuth
-            objects = [objects[k] for k in np.argsort(np.abs((apart + np.pi) % (2 * np.pi) - np.pi), kind="stable")]
+            objects = _shuffled(objects, rng)
+        else:  # nearest in azimuth first
+            off = np.array([_azimuth_of(image, one) for one in objects]) - self.azimuth
+            objects = [objects[k] for k in np.argsort(np.abs((off + np.pi) % (2 * np.pi) - np.pi), kind="stable")]
         for chosen in objects:
             number, background_m = _background(sweep, image, chosen, rng)
             behind = background_m > image.rays.depth_m[number] + _BEHIND_M
             if behind.mean() > _VANISHING_SHARE:
-                wanted_m = np.full(len(image.rays), LEAVE)
-                wanted_m[number] = np.where(behind, background_m, LEAVE)
-                return self.spoofer.spoof(sweep, image.rays, wanted_m, _wedge_of(image, number), rng)
+                target_m = np.full(len(image.rays), LEAVE)
+                target_m[number] = np.where(behind, background_m, LEAVE)
+                return self.spoofer.spoof(sweep, image.rays, target_m, _wedge_of(image, number), rng)
         return untouched(sweep)
 
 
-def _drawn(objects: list[_Object], rng: np.random.Generator) -> list[_Object]:
-    """Return the objects in an order drawn at random, as :func:`_random_one` draws them."""
+def _shuffled(objects: list[_Object], rng: np.random.Generator) -> list[_Object]:
+    """Return the objects in a random order, weighted as by :func:`_random_object`."""
     left, order = list(objects), list[_Object]()
     while left:
-        order.append(left.pop(_random_one(left, rng)))
+        order.append(left.pop(_random_object(left, rng)))
     return order
 
 
-def _random_one(objects: list[_Object], rng: np.random.Generator) -> int:
-    """Return the number of an object drawn in proportion to its returns: large ones hide more."""
+def _random_object(objects: list[_Object], rng: np.random.Generator) -> int:
+    """Return the index of a random object, with probability proportional to its returns: large ones hide more."""
     returns = np.array([len(one.ring) for one in objects], np.float64)
     return int(rng.choice(len(objects), p=returns / returns.sum()))
 
 
 def _azimuth_of(image: _RayImage, one: _Object) -> float:
-    """Return the azimuth of an object's middle in the sensor's frame."""
+    """Return the azimuth of an object's center in the sensor's frame."""
     number = image.number[one.ring, (one.first + one.column) % image.depth_m.shape[1]]
     return _wedge_of(image, number[number >= 0]).azimuth
 
 
 def _wedge_of(image: _RayImage, number: Ints) -> Wedge:
-    """Return a wedge that holds some rays, with a margin for their returns at other depths."""
+    """Return a wedge around the rays ``number``, with a margin for their returns at other depths."""
     x, y, _ = image.rays.direction[number].T
     azimuth = np.arctan2(y, x)
-    middle = float(np.arctan2(np.sin(azimuth).mean(), np.cos(azimuth).mean()))
-    apart = np.abs((azimuth - middle + np.pi) % (2 * np.pi) - np.pi)
-    return Wedge(middle, min(2 * float(apart.max()) + np.deg2rad(_MARGIN_DEG), 2 * np.pi))
+    center = float(np.arctan2(np.sin(azimuth).mean(), np.cos(azimuth).mean()))
+    off = np.abs((azimuth - center + np.pi) % (2 * np.pi) - np.pi)
+    return Wedge(center, min(2 * float(off.max()) + np.deg2rad(_MARGIN_DEG), 2 * np.pi))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Side:
-    """What the beams of a ring show beside a gap."""
+    """Background that the beams of a ring show on one side of an object."""
 
-    depth_m: float  # their median depth, +inf where most did not return
-    height_m: float  # their median height in the level frame where they show ground, else NaN
-    residual_m: F64  # (S,) how far each return is behind a straight line through them
-    lost_share: float  # of the beams, those that did not return
+    depth_m: float  # median depth, +inf if most beams did not return
+    height_m: float  # median height in the level frame if they show ground, else NaN
+    residual_m: F64  # (S,) residuals of the depths from a straight line through them
+    lost_share: float  # share of beams without a return
 
 
 _NOTHING_SEEN = _Side(np.inf, np.nan, np.zeros(1), 0.0)
 
 
 def _background(sweep: Sweep, image: _RayImage, chosen: _Object, rng: np.random.Generator) -> tuple[Ints, F64]:
-    """Return the rays (P,) of an object and what they would report without it, in meters, by the beams beside it."""
+    """Return the rays (P,) of an object and their depths (P,) without it, estimated from the beams beside it."""
     circle = image.depth_m.shape[1]
     number = image.number[chosen.ring, (chosen.first + chosen.column) % circle]
     start, direction = level_rays(sweep, image.rays)
@@ -290,7 +290,7 @@ def _background(sweep: Sweep, image: _RayImage, chosen: _Object, rng: np.random.
 
 
 def _side(image: _RayImage, start: F64, direction: F64, ring: int, columns: Ints) -> _Side:
-    """Return what the beams of a ring show in some columns (_SIDE,)."""
+    """Return the background that a ring shows in some columns (_SIDE,)."""
     number = image.number[ring, columns]
     number = number[number >= 0]
     seen = number[np.isfinite(image.rays.depth_m[number])]
@@ -309,7 +309,7 @@ def _side(image: _RayImage, start: F64, direction: F64, ring: int, columns: Ints
 
 
 def _residuals(depth_m: F64) -> F64:
-    """Return how far depths (S,) are off a straight line through them, as large as their noise is."""
+    """Return the residuals of depths (S,) from a straight line, scaled to the standard deviation of their noise."""
     if len(depth_m) < 4:
         return np.zeros(1)
     along = np.arange(len(depth_m))
@@ -319,11 +319,11 @@ def _residuals(depth_m: F64) -> F64:
 
 
 def _between(left: _Side, right: _Side, share: F64, start_z: F64, down: F64, rng: np.random.Generator) -> F64:
-    """Return depths (P,) between two sides, ``share`` (P,) of the way from left to right.
+    """Return background depths (P,) between two sides, at ``share`` (P,) of the way from left to right.
 
-    Ground between ground, its height by that of both; a surface between two of about the same depth; else what is
-    farther goes on to the other side's edge. Noise and losses are those of the sides. Rays start at ``start_z`` (P,)
-    and fall by ``down`` (P,) a meter.
+    If both sides show ground, interpolate its height; if both show surfaces of similar depth, interpolate the depth;
+    else the farther side continues. Noise and losses are sampled from the sides. Rays start at height ``start_z`` (P,)
+    and their direction has z ``down`` (P,).
     """
     sides = [left, right]
     if np.isfinite(left.height_m) and np.isfinite(right.height_m):
@@ -345,14 +345,14 @@ def _to_ground(height_m: F64 | float, start_z: F64, down: F64) -> F64:
 
 @dataclass(frozen=True, slots=True)
 class CopiedObject(_OfObjects):
-    """A real object of the sweep appears a second time, at another azimuth, before everything that is there.
+    """A real object of the sweep appears a second time, at another azimuth, in front of everything there.
 
     Its surface, edges, noise and losses are those of a real one. It stands on ground of the same height, where the view
-    is open. Without such an object and place nothing is done. At a given azimuth the largest object that fits is shown.
+    is open; without such a place the sweep is unchanged. At a given azimuth, the largest object that fits is copied.
     """
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Tampered:
-        """Return the attacked sweep and what was done to it."""
+        """Return the attacked sweep and the record of its changes."""
         image = _image_of(sweep)
         objects = _objects_in_reach(sweep, self.near_m, self.sector_deg, self.budget)
         circle = image.depth_m.shape[1]
@@ -362,34 +362,34 @@ class CopiedObject(_OfObjects):
             depth_m = image.depth_m[chosen.ring, column]
             number, depth_m = number[number >= 0], depth_m[number >= 0]
             if len(number) and _is_open(sweep, image, chosen, turn, depth_m, number):
-                hollows = _hollows(image, chosen, turn)
-                left = len(hollows) if self.budget is None else self.budget - len(number)
-                wanted_m = np.full(len(image.rays), LEAVE)
-                wanted_m[hollows[:left]] = NO_RETURN
-                wanted_m[number] = np.where(image.rays.depth_m[number] > depth_m - _BASE_DEPTH_M, depth_m, LEAVE)
-                return self.spoofer.spoof(sweep, image.rays, wanted_m, _wedge_of(image, number), rng)
+                holes = _holes(image, chosen, turn)
+                left = len(holes) if self.budget is None else self.budget - len(number)
+                target_m = np.full(len(image.rays), LEAVE)
+                target_m[holes[:left]] = NO_RETURN
+                target_m[number] = np.where(image.rays.depth_m[number] > depth_m - _BASE_DEPTH_M, depth_m, LEAVE)
+                return self.spoofer.spoof(sweep, image.rays, target_m, _wedge_of(image, number), rng)
         return untouched(sweep)
 
     def _places(
         self, image: _RayImage, objects: list[_Object], rng: np.random.Generator
     ) -> Iterator[tuple[_Object, int]]:
-        """Yield objects and the columns by which each is turned: as it comes, or the largest first to one azimuth."""
+        """Yield objects and the columns by which to turn them: random pairs, or to ``azimuth``, the largest first."""
         circle = image.depth_m.shape[1]
         if self.azimuth is None:
             for turn in rng.integers(circle, size=_PLACES if objects else 0):
-                yield objects[_random_one(objects, rng)], int(turn)
+                yield objects[_random_object(objects, rng)], int(turn)
             return
         for one in sorted(objects, key=lambda one: -len(one.ring)):
             yield one, round((self.azimuth - _azimuth_of(image, one)) * circle / (2 * np.pi)) % circle
 
 
 def _is_open(sweep: Sweep, image: _RayImage, chosen: _Object, turn: int, depth_m: F64, number: Ints) -> bool:
-    """Return whether a copy would stand before all that is there, apart from the object itself, on level ground."""
+    """Return whether a copy is clear of the object, in front of everything there, on ground of the same height."""
     circle = image.depth_m.shape[1]
-    apart = min(turn, circle - turn)
-    farther_m = image.rays.depth_m[number] - depth_m
-    occluded = np.mean(farther_m < -_BASE_DEPTH_M)
-    if apart <= chosen.columns + _SIDE or occluded > _OCCLUDED_SHARE or np.median(farther_m) < _OPEN_M:
+    distance = min(turn, circle - turn)
+    behind_m = image.rays.depth_m[number] - depth_m
+    occluded = np.mean(behind_m < -_BASE_DEPTH_M)
+    if distance <= chosen.columns + _SIDE or occluded > _OCCLUDED_SHARE or np.median(behind_m) < _OPEN_M:
         return False
     source = image.number[chosen.ring, (chosen.first + chosen.column) % circle]
     lowest_m = _lowest_m(sweep, image.rays.select(source), image.rays.depth_m[source])
@@ -397,14 +397,14 @@ def _is_open(sweep: Sweep, image: _RayImage, chosen: _Object, turn: int, depth_m
 
 
 def _lowest_m(sweep: Sweep, rays: Rays, depth_m: F64) -> float:
-    """Return how high the lowest return of some rays (K,) at depths (K,) is above the ground."""
+    """Return the height above ground of the lowest point of rays (K,) at depths (K,), in meters."""
     start, direction = level_rays(sweep, rays)
     points = start + depth_m[:, None] * direction
     return float((points[:, 2] - scene_of(sweep).ground.at(points[:, :2])).min())
 
 
-def _hollows(image: _RayImage, chosen: _Object, turn: int) -> Ints:
-    """Return the rays below a copy's upper edge whose pixels of the real object did not return: nor may these."""
+def _holes(image: _RayImage, chosen: _Object, turn: int) -> Ints:
+    """Return the rays inside a copy's outline where the real object has no return: the copy must have none either."""
     circle = image.depth_m.shape[1]
     low, high = np.full(chosen.columns, image.depth_m.shape[0]), np.full(chosen.columns, -1)
     np.minimum.at(low, chosen.column, chosen.ring)

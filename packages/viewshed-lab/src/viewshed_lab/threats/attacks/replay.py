@@ -1,6 +1,6 @@
-"""Attacks that last: an earlier sweep played again, and ghosts that move as real things do (family 11).
+"""Attacks over time: an earlier sweep is replayed, and ghosts move like real objects (family 11).
 
-Pose spoof: the returns are true, the place they are put at is not (family 13).
+Pose spoof: the returns are true, but the pose is not (family 13).
 """
 
 from __future__ import annotations
@@ -33,23 +33,23 @@ Anchor = Literal["world", "sensor"]
 
 @dataclass(frozen=True, slots=True)
 class PoseSpoof(Checked):
-    """A pose that is turned, shifted and tilted, by amounts given and in directions drawn at random.
+    """A pose that is turned, shifted and tilted by given amounts in random directions.
 
-    The turn is about the vertical through the sensor, the shift is level, the tilt is about a level axis. Returns are
-    not touched.
+    The turn is about the vertical through the sensor, the shift is horizontal, the tilt is about a horizontal axis. The
+    returns are unchanged.
     """
 
-    yaw_deg: Annotated[float, Between(0.0, 180.0)] = 2.0  # turn
-    shift_m: Annotated[float, Between(0.0, 10_000.0)] = 1.0  # shift
-    tilt_deg: Annotated[float, Between(0.0, 90.0)] = 0.0  # tilt, of the attitude as well
+    yaw_deg: Annotated[float, Between(0.0, 180.0)] = 2.0
+    shift_m: Annotated[float, Between(0.0, 10_000.0)] = 1.0
+    tilt_deg: Annotated[float, Between(0.0, 90.0)] = 0.0  # also tilts the attitude
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Tampered:
-        """Return the attacked sweep and what was done to it.
+        """Return the attacked sweep and the record of its changes.
 
         Raises:
             ValueError: the sweep has no pose (for a tilt alone: neither pose nor attitude).
         """
-        side, around, axis = rng.choice([-1.0, 1.0]), rng.uniform(-np.pi, np.pi), rng.uniform(-np.pi, np.pi)
+        side, heading, axis = rng.choice([-1.0, 1.0]), rng.uniform(-np.pi, np.pi), rng.uniform(-np.pi, np.pi)
         half = np.deg2rad(self.tilt_deg) / 2
         level_axis = np.sin(half) * np.cos(axis), np.sin(half) * np.sin(axis), 0.0
         tilt = rotation_from_quaternion([np.cos(half), *level_axis])
@@ -58,7 +58,7 @@ class PoseSpoof(Checked):
             raise ValueError("a sweep must have a pose for it to be spoofed, got none; give world_from_sensor")
         if pose is not None:
             turn = Rigid.from_yaw(side * np.deg2rad(self.yaw_deg)).rotation
-            shift_m = self.shift_m * np.array([np.cos(around), np.sin(around), 0.0])
+            shift_m = self.shift_m * np.array([np.cos(heading), np.sin(heading), 0.0])
             pose = Rigid(turn @ tilt @ pose.rotation, pose.translation + shift_m)
         if attitude is not None and self.tilt_deg > 0:
             attitude = quaternion_from_rotation(tilt @ rotation_from_quaternion(attitude))
@@ -69,27 +69,28 @@ class PoseSpoof(Checked):
 class Replay(Checked):
     """An earlier sweep of the same sensor instead of this one: looks real because it was.
 
-    On beams, each beam of the sector reports the range that it had in the earlier sweep, or nothing where it had none.
-    Free-form, the earlier returns take the place of all; time and pose stay those of this sweep.
+    On beams, each beam of the sector reports its range in the earlier sweep, or nothing if it had none. Free-form, the
+    earlier returns replace all returns. Time and pose stay those of this sweep.
     """
 
-    earlier: Sweep  # the sweep that is played
-    budget: Budget = None  # most beams, those nearest to the middle of the sector; None for all. Not for the free form.
+    earlier: Sweep  # the sweep that is replayed
+    # maximum number of beams, nearest to the center of the sector first; None for all; not used in free form
+    budget: Budget = None
     sector_deg: Sector = 360.0  # width of the sector
-    azimuth: Angle = 0.0  # middle of the sector in the sensor's frame
+    azimuth: Angle = 0.0  # center of the sector in the sensor's frame
     mode: Mode = "beam_constrained"  # ``beam_constrained`` or ``free_form``
-    spoofer: Spoofer = NOISELESS_SPOOFER  # of the mode on beams
+    spoofer: Spoofer = NOISELESS_SPOOFER  # for ``beam_constrained``
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Tampered:
-        """Return the attacked sweep and what was done to it.
+        """Return the attacked sweep and the record of its changes.
 
         Raises:
-            ValueError: the beams of one of the sweeps are not known, or they have other rings.
+            ValueError: the beams of a sweep are unknown, or the sweeps differ in their number of rings.
         """
         if self.mode == "free_form":
             columns = {name: getattr(self.earlier, name) for name in COLUMNS}
-            every = np.ones(len(self.earlier), np.bool_)
-            return Tampered(sweep.replace(**columns), every, np.ones(len(sweep), np.bool_))
+            added, removed = np.ones(len(self.earlier), np.bool_), np.ones(len(sweep), np.bool_)
+            return Tampered(sweep.replace(**columns), added, removed)
         wedge = Wedge.of_sector(self.azimuth, self.sector_deg)
         rays = rays_in(sweep, wedge, empty=True)
         earlier_m = depths_in(self.earlier, lattice_of(sweep), rays)
@@ -98,10 +99,10 @@ class Replay(Checked):
 
 
 def depths_in(earlier: Sweep, lattice: BeamLattice | None, rays: Rays) -> NDArray[np.float64]:
-    """Return the depth (K,) that each ray had in another sweep of the sensor, by ring and firing azimuth.
+    """Return the depth (K,) in meters of each ray in another sweep of the sensor, by ring and firing azimuth.
 
-    +inf where it did not return, and everywhere if the beams of one of the sweeps are not known. Rays of no ring have
-    no depth there either; theirs means nothing.
+    +inf where it did not return, and everywhere if the beams of a sweep are unknown. The depth of a ray without a ring
+    is meaningless.
 
     Raises:
         ValueError: the other sweep has another number of rings.
@@ -127,23 +128,23 @@ def depths_in(earlier: Sweep, lattice: BeamLattice | None, rays: Rays) -> NDArra
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CoherentPhantom(Checked):
-    """A ghost car that keeps its place in the world, moves through it, or keeps its place before the sensor.
+    """A ghost car that is static in the world, moves through it, or is fixed to the sensor.
 
-    A check over time finds nothing wrong: the ghost is where a real thing would be. Its place is that at ``azimuth``
-    and ``range_m`` from the pose ``first``. Out of range it is not there.
+    It is consistent over time, like a real object. It starts at ``azimuth`` and ``range_m`` from the pose ``first``,
+    and is shown only within ``reach_m``.
     """
 
-    first: Rigid | None = None  # pose at which the ghost appeared; None for one that keeps its place before the sensor
+    first: Rigid | None = None  # pose at which the ghost appears; None fixes it to the sensor
     first_ns: int | None = None  # time of that pose
-    budget: Budget = None  # most beams, those nearest to its middle; None for all that would meet it
+    budget: Budget = None  # maximum number of beams, nearest to its center first; None for all that would hit it
     range_m: Annotated[float, Between(0.1, 1000.0)] = 12.0  # its range from the first pose
     azimuth: Angle = 0.3  # its azimuth from the first pose, in the sensor's frame
     anchor: Anchor = "world"  # ``world`` or ``sensor``
     velocity_mps: tuple[float, float] = (0.0, 0.0)  # (vx, vy) of the ghost in the world, for the anchor ``world``
-    # nearest and farthest range at which it is shown
+    # minimum and maximum range at which it is shown
     reach_m: Annotated[tuple[float, float], Ascending(0.0)] = (3.0, 50.0)
     size_m: tuple[float, float, float] = CAR_M  # length, width, height
-    spoofer: Spoofer = MEASURED_SPOOFER  # how well the beams are won
+    spoofer: Spoofer = MEASURED_SPOOFER  # success rate and range noise
 
     def __post_init__(self) -> None:
         Checked.__post_init__(self)
@@ -153,10 +154,10 @@ class CoherentPhantom(Checked):
             raise ValueError("a ghost that moves must have a start, got no first_ns; give the time of the first pose")
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Tampered:
-        """Return the attacked sweep and what was done to it.
+        """Return the attacked sweep and the record of its changes.
 
         Raises:
-            ValueError: the sweep lacks the pose, or the time, that the ghost's place depends on.
+            ValueError: the sweep lacks the pose or the time that the ghost's place depends on.
         """
         azimuth, range_m, heading = self._place(sweep)
         if not self.reach_m[0] <= range_m <= self.reach_m[1]:
@@ -165,20 +166,20 @@ class CoherentPhantom(Checked):
         return ghost.apply(sweep, rng)
 
     def _place(self, sweep: Sweep) -> tuple[float, float, float]:
-        """Return azimuth and range in the sensor's frame, and the heading against the line of sight."""
+        """Return azimuth and range in the sensor's frame, and the heading relative to the line of sight."""
         if self.anchor == "sensor" or self.first is None:
             return self.azimuth, self.range_m, 0.0
         pose = sweep.world_from_sensor
         if pose is None:
             raise ValueError("a sweep must have a pose for a ghost that stays in the world, got none; anchor='sensor'")
         ahead_m = self.range_m * np.array([np.cos(self.azimuth), np.sin(self.azimuth), 0.0])
-        world_m = self.first @ ahead_m + self._moved_m(sweep)
+        world_m = self.first @ ahead_m + self._displacement_m(sweep)
         x, y, _ = pose.inverse() @ world_m
         azimuth = float(np.arctan2(y, x))
         heading = self.first.yaw + self.azimuth - pose.yaw - azimuth
         return azimuth, float(np.hypot(x, y)), heading
 
-    def _moved_m(self, sweep: Sweep) -> NDArray[np.float64]:
+    def _displacement_m(self, sweep: Sweep) -> NDArray[np.float64]:
         if self.first_ns is None or not any(self.velocity_mps):
             return np.zeros(3)
         if sweep.t_ns is None:

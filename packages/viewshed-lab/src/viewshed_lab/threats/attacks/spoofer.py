@@ -1,7 +1,7 @@
-"""What a laser that fires at a sensor achieves: which beams it wins and how exactly it sets their ranges.
+"""Model of a laser spoofer: which beams it controls, and how exactly it sets their ranges.
 
-Where it aims: the level frame, ground and obstacles of the scene, by the victim's own sweep. What an attacker added and
-removed becomes the sweep that the victim reads: rows in firing order, all columns.
+Helpers that aim an attack find the level frame, ground and obstacles of the scene in the victim's own sweep. Helpers
+that build the attacked sweep put forged returns into firing order and fill all columns.
 """
 
 from __future__ import annotations
@@ -23,32 +23,32 @@ from viewshed_lab.threats.attacks.base import Tampered, Wedge
 from viewshed_lab.threats.attacks.beam_lattice import BeamLattice, Rays, lattice_of, within
 
 COLUMNS = ("points", "intensity", "ring", "azimuth", "time_s")
-"""What a sweep has of each return."""
+"""Columns of a sweep, with one value per return."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Forged:
-    """A returns that an attacker makes."""
+    """A forged returns."""
 
     points: NDArray[np.float32]  # (A, 3) float32 meters, sensor frame
-    ring: NDArray[Any]  # (A,) beam, -1 where it is not known
-    column: NDArray[Any]  # (A,) azimuth column, -1 where it is not known
-    row: NDArray[np.intp]  # (A,) row of the return that each replaces, -1 where it replaces none
+    ring: NDArray[Any]  # (A,) ring, -1 if unknown
+    column: NDArray[Any]  # (A,) azimuth column, -1 if unknown
+    row: NDArray[np.intp]  # (A,) row of the return that it replaces, -1 for none
 
 
 def untouched(sweep: Sweep, wedge: Wedge | None = None) -> Tampered:
-    """Return the sweep as it is."""
+    """Return the record of an unchanged sweep."""
     none = np.zeros(len(sweep), np.bool_)
     return Tampered(sweep, none, none, wedge)
 
 
 def assemble(sweep: Sweep, removed: Mask, forged: Forged, wedge: Wedge | None, rng: np.random.Generator) -> Tampered:
-    """Return the sweep without the rows ``removed`` (N,) and with what is forged, each where a sensor would store it.
+    """Return the sweep without the rows ``removed`` (N,) and with the forged returns, in the sensor's storage order.
 
-    A return that replaces another takes its place, its ring, azimuth and time; any other is stored next to its
-    neighbor on the beams. Intensities are drawn from those of the sweep.
+    A return that replaces another takes its row, ring, azimuth and time; any other is stored next to its neighbor on
+    the beams. Intensities are drawn from those of the sweep.
     """
-    # Sort what is forged among the rows that are kept: a key is a row, or lies between two.
+    # Sort the forged returns among the kept rows: a key is a row, or lies between two.
     source, key = _neighbors(sweep, forged)
     order = np.argsort(key, kind="stable")
     kept = np.flatnonzero(~removed)
@@ -59,7 +59,7 @@ def assemble(sweep: Sweep, removed: Mask, forged: Forged, wedge: Wedge | None, r
 
 
 def add_points(sweep: Sweep, points: NDArray[Any], rng: np.random.Generator) -> Tampered:
-    """Return the sweep with points (A, 3) added anywhere, each stored next to the return of the nearest beam."""
+    """Return the sweep with free points (A, 3) added, each stored next to the return of the nearest beam."""
     points = points.astype(np.float32)
     ring = column = none = np.full(len(points), -1)
     lattice = lattice_of(sweep)
@@ -72,44 +72,44 @@ def add_points(sweep: Sweep, points: NDArray[Any], rng: np.random.Generator) -> 
 
 
 def _neighbors(sweep: Sweep, forged: Forged) -> tuple[NDArray[np.intp], F64]:
-    """Return the row (A,) that each is like, -1 where there is none, and a key (A,) that sorts it among the rows."""
+    """Return the row (A,) of the replaced or nearest return, -1 for none, and a sort key (A,) among the rows."""
     row, key = forged.row.copy(), forged.row.astype(np.float64)
-    alone = np.flatnonzero(row < 0)
-    key[alone] = len(sweep)
+    new = np.flatnonzero(row < 0)
+    key[new] = len(sweep)
     lattice = lattice_of(sweep)
-    if lattice is not None and len(alone):
-        row[alone], key[alone] = lattice.storage_keys(forged.ring[alone], forged.column[alone])
+    if lattice is not None and len(new):
+        row[new], key[new] = lattice.storage_keys(forged.ring[new], forged.column[new])
     return row, key
 
 
 def _columns(
     sweep: Sweep, forged: Forged, source: NDArray[np.intp], rng: np.random.Generator
 ) -> dict[str, NDArray[Any]]:
-    """Return the columns of what is forged, for those that the sweep has."""
+    """Return the columns of the forged returns, except points, for those that the sweep has."""
     columns: dict[str, NDArray[Any]] = {}
     if sweep.intensity is not None:
-        some = sweep.intensity if len(sweep) else np.zeros(1, np.float32)
-        columns["intensity"] = some[rng.integers(len(some), size=len(source))]
+        intensity = sweep.intensity if len(sweep) else np.zeros(1, np.float32)
+        columns["intensity"] = intensity[rng.integers(len(intensity), size=len(source))]
     if sweep.ring is not None:
-        like = _take(sweep.ring, source, np.int16(0))
-        columns["ring"] = np.where(forged.ring >= 0, forged.ring, like).astype(np.int16)
+        source_ring = _take(sweep.ring, source, np.int16(0))
+        columns["ring"] = np.where(forged.ring >= 0, forged.ring, source_ring).astype(np.int16)
     if sweep.azimuth is not None:
-        aimed = np.arctan2(forged.points[:, 1], forged.points[:, 0])
-        columns["azimuth"] = np.where(source >= 0, _take(sweep.azimuth, source, np.float32(0)), aimed)
+        point_azimuth = np.arctan2(forged.points[:, 1], forged.points[:, 0])
+        columns["azimuth"] = np.where(source >= 0, _take(sweep.azimuth, source, np.float32(0)), point_azimuth)
     if sweep.time_s is not None:
         columns["time_s"] = _times(sweep.time_s, forged, source, lattice_of(sweep))
     return columns
 
 
 def _take(column: NDArray[Any], source: NDArray[np.intp], default: Any) -> NDArray[Any]:
-    """Return the values of ``column`` at ``source`` (A,), ``default`` where that is -1."""
+    """Return the values of ``column`` at rows ``source`` (A,), ``default`` where the row is -1."""
     return np.append(column, default)[source]
 
 
 def _times(
     time_s: NDArray[np.float32], forged: Forged, source: NDArray[np.intp], lattice: BeamLattice | None
 ) -> NDArray[np.float32]:
-    """Return times (A,): those of the columns where they are known, else of the neighbors."""
+    """Return times (A,) in seconds: those of the columns if known, else those of the neighbors."""
     times = _take(time_s, source, np.float32(0))
     if lattice is not None and lattice.firing.time_s is not None:
         times = np.where(forged.row >= 0, times, lattice.firing.time_s[forged.column])
@@ -117,57 +117,57 @@ def _times(
 
 
 RELIABILITY: dict[str, float] = {"VLP-16": 0.985, "VLP-32C": 0.83, "OS1-32": 0.44, "OS1-32 gradient": 0.44}
-"""Share of the aimed beams that a spoofer wins, by the name of the sensor."""
+"""Share of the attacked beams that a spoofer controls ("wins"), by the name of the sensor."""
 
 DEFAULT_RELIABILITY = 0.985
 """The same for other sensors."""
 
 LEAVE, NO_RETURN = np.nan, np.inf
-"""Wanted depths with a meaning of their own: do not touch the beam; make it return nothing."""
+"""Special target depths: leave the beam unchanged; make it return nothing."""
 
 FULL_CIRCLE = Wedge(0.0, 2 * np.pi)
 
 UNKNOWN_OPTICS = Optics()
-"""How exactly a sensor is taken to measure that is not known."""
+"""Assumed optics of an unknown sensor."""
 
 _MAX_RANGE_M = 100.0
-"""How far a sensor is taken to see that is not known."""
+"""Assumed maximum range of an unknown sensor."""
 
 _NEAR_M, _NEAR_SHARE = 25.0, 0.01
-"""A sweep is indoors where at most this share of its returns lies farther away."""
+"""A sweep is indoors if at most this share of its returns lies beyond this range."""
 
 _ROUNDS = 4
-"""Iterations on the height of the ground under a beam."""
+"""Iterations to find the depth at which a beam hits the ground."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GroundBox:
     """A box on the ground, in the level frame."""
 
-    center: tuple[float, float]  # (x, y) of its middle, meters
-    heading: float  # yaw of its length, radians
+    center: tuple[float, float]  # (x, y), meters
+    heading: float  # yaw of its long axis, radians
     size_m: tuple[float, float, float]  # length, width, height
-    ground_m: float  # z of its lower side
+    ground_m: float  # z of its bottom
 
 
 @lru_cache(maxsize=2)
 def scene_of(sweep: Sweep) -> LeveledSweep:
-    """Return ``sweep`` leveled over the extent that it fills: indoors where hardly anything lies beyond 25 m."""
+    """Return ``sweep`` leveled on the road grid, or on the indoor grid if hardly any return lies beyond 25 m."""
     x, y, _ = sweep.points.T
     far = np.count_nonzero(x * x + y * y > _NEAR_M**2)
     return level(sweep, GRIDS["road" if far > _NEAR_SHARE * len(sweep) else "indoor"])
 
 
 def is_obstacle(sweep: Sweep, rays: Rays) -> Mask:
-    """Return which rays (K,) returned from more than 0.3 m above local ground; ego and null returns did not."""
+    """Return the rays (K,) with returns more than 0.3 m above local ground, without ego and null returns."""
     leveled = scene_of(sweep)
-    raised = np.zeros(len(sweep) + 1, np.bool_)  # the last is for rays without a return, whose row is -1
+    raised = np.zeros(len(sweep) + 1, np.bool_)  # the last entry is for rays without a return: row -1
     raised[leveled.rows] = leveled.height_m > OBSTACLE_HEIGHTS_M[0]
     return np.asarray(raised[rays.row])
 
 
 def random_obstacle_azimuth(sweep: Sweep, near_m: float, far_m: float, rng: np.random.Generator) -> float | None:
-    """Return the azimuth, in the sensor's frame, of a return of an obstacle drawn at random; None without any."""
+    """Return the azimuth of a random obstacle return between two ranges, in the sensor's frame; None without any."""
     leveled = scene_of(sweep)
     low, high = OBSTACLE_HEIGHTS_M
     fits = (leveled.height_m > low) & (leveled.height_m < high) & (leveled.range_m > near_m) & (leveled.range_m < far_m)
@@ -175,13 +175,13 @@ def random_obstacle_azimuth(sweep: Sweep, near_m: float, far_m: float, rng: np.r
 
 
 def random_open_azimuth(sweep: Sweep, range_m: float, rng: np.random.Generator) -> float:
-    """Return the azimuth of a return drawn among those beyond ``range_m``, where a ghost can be seen; else any."""
+    """Return the azimuth of a random return beyond ``range_m``, where a ghost can be seen; any azimuth without one."""
     leveled = scene_of(sweep)
     return azimuth_or_random(_random_azimuth(sweep, leveled.rows[leveled.range_m > range_m], rng), rng)
 
 
 def _random_azimuth(sweep: Sweep, rows: NDArray[Any], rng: np.random.Generator) -> float | None:
-    """Return the azimuth of one of the returns ``rows``, drawn at random; None without any."""
+    """Return the azimuth of a random one of the returns ``rows``; None without any."""
     if len(rows) == 0:
         return None
     x, y, _ = sweep.points[rows[rng.integers(len(rows))]].astype(np.float64)
@@ -189,18 +189,18 @@ def _random_azimuth(sweep: Sweep, rows: NDArray[Any], rng: np.random.Generator) 
 
 
 def azimuth_or_random(azimuth: float | None, rng: np.random.Generator) -> float:
-    """Return ``azimuth``, or one drawn at random where it is None."""
+    """Return ``azimuth``, or a random one if it is None."""
     return float(rng.uniform(-np.pi, np.pi)) if azimuth is None else azimuth
 
 
 def level_rays(sweep: Sweep, rays: Rays) -> tuple[F64, F64]:
-    """Return starts (K, 3) in meters and directions (K, 3) in the level frame, the ground below the sensor at z = 0."""
+    """Return starts (K, 3) in meters and directions (K, 3) in the level frame; z = 0 is the ground below the sensor."""
     to_level = scene_of(sweep).level_from_sensor
     return to_level @ rays.start_m, rays.direction @ to_level.rotation.T
 
 
 def position_at(sweep: Sweep, azimuth: float, range_m: float) -> tuple[float, float, float]:
-    """Return x and y in the level frame at an azimuth of the sensor and a range, and their level azimuth."""
+    """Return x, y and azimuth in the level frame of the place at an azimuth of the sensor's frame and a range."""
     rotation = scene_of(sweep).level_from_sensor.rotation
     x, y, _ = rotation @ np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
     level_azimuth = float(np.arctan2(y, x))
@@ -208,19 +208,20 @@ def position_at(sweep: Sweep, azimuth: float, range_m: float) -> tuple[float, fl
 
 
 def ground_at(sweep: Sweep, x_m: float, y_m: float) -> float:
-    """Return z of the ground at a place in the level frame, in meters."""
+    """Return z of the ground at (x, y) in the level frame, in meters."""
     return float(scene_of(sweep).ground.at(np.array([[x_m, y_m]]))[0])
 
 
 def to_sensor(sweep: Sweep, points: NDArray[Any]) -> F64:
-    """Return points (A, 3) of the level frame in the sensor's frame."""
+    """Transform points (A, 3) from the level frame to the sensor's frame."""
     return scene_of(sweep).level_from_sensor.inverse() @ points
 
 
 def street_depth_m(sweep: Sweep, rays: Rays, wall_m: float) -> F64:
-    """Return how far the rays (K,) would go on an empty street with a wall at range ``wall_m`` at its end.
+    """Return the depths (K,) of rays on an empty street that ends at a wall at range ``wall_m``, in meters.
 
-    To the ground, found by iteration on its height, or to the wall, whichever is nearer.
+    A ray ends at the ground (its depth is found by fixed-point iteration on the ground's height) or at the wall,
+    whichever is nearer.
     """
     ground = scene_of(sweep).ground
     start, direction = level_rays(sweep, rays)
@@ -235,14 +236,14 @@ def street_depth_m(sweep: Sweep, rays: Rays, wall_m: float) -> F64:
 
 
 def chord_m(start: F64, direction: F64, box: GroundBox) -> tuple[F64, F64]:
-    """Return the depths (K,) in meters at which rays (K, 3) enter and leave a box; +inf and -inf where they miss it.
+    """Return the depths (K,) in meters at which rays (K, 3) enter and leave a box; +inf and -inf if they miss it.
 
-    By slabs (Kay and Kajiya 1986).
+    Slab method (Kay and Kajiya 1986).
     """
     c, s = np.cos(box.heading), np.sin(box.heading)
-    turn = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
-    middle = np.array([*box.center, box.ground_m + box.size_m[2] / 2])
-    start, direction = (start - middle) @ turn.T, direction @ turn.T
+    rotation = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+    center = np.array([*box.center, box.ground_m + box.size_m[2] / 2])
+    start, direction = (start - center) @ rotation.T, direction @ rotation.T
     direction = np.where(np.abs(direction) < 1e-12, 1e-12, direction)
     half = np.array(box.size_m) / 2
     first, second = (-half - start) / direction, (half - start) / direction
@@ -253,40 +254,39 @@ def chord_m(start: F64, direction: F64, box: GroundBox) -> tuple[F64, F64]:
 
 @dataclass(frozen=True, slots=True)
 class Spoofer(Checked):
-    """A spoofer: one return for each beam that it wins."""
+    """A spoofer: one forged return for each beam that it controls ("wins")."""
 
-    # share of the aimed beams that it wins; None takes it from ``RELIABILITY`` by the sensor's name
+    # share of the attacked beams that it wins; None takes it from ``RELIABILITY`` by the sensor's name
     reliability: Annotated[float | None, Between(0.0, 1.0)] = None
-    # noise of each range along its ray; None is the sensor's own, as of a strong return
+    # noise of each range along its ray; None is the sensor's own noise of a strong return
     point_sigma_m: Annotated[float | None, Between(0.0, 10.0)] = 0.10
-    frame_sigma_m: Annotated[float, Between(0.0, 10.0)] = 0.35  # noise that all ranges of a sweep share
+    frame_sigma_m: Annotated[float, Between(0.0, 10.0)] = 0.35  # noise common to all ranges of a sweep
 
     def wins(self, sweep: Sweep, count: int, rng: np.random.Generator) -> Mask:
-        """Return which of ``count`` beams are won."""
+        """Return which of ``count`` beams are won, (count,) bool."""
         name = "" if sweep.model is None else sweep.model.name
         share = RELIABILITY.get(name, DEFAULT_RELIABILITY) if self.reliability is None else self.reliability
         return rng.random(count) < share
 
-    def spoof(self, sweep: Sweep, rays: Rays, wanted_m: F64, wedge: Wedge, rng: np.random.Generator) -> Tampered:
-        """Return ``sweep`` after an attempt to give the rays depths (K,) in meters, ``LEAVE`` or ``NO_RETURN``.
+    def spoof(self, sweep: Sweep, rays: Rays, target_m: F64, wedge: Wedge, rng: np.random.Generator) -> Tampered:
+        """Return ``sweep`` with the won rays at target depths (K,) in meters, ``LEAVE`` or ``NO_RETURN``.
 
-        A return nearer or farther than the sensor reports is none. A beam whose return would leave the wedge is left
-        as it is.
+        A return outside the sensor's range limits is lost. A beam whose return would leave the wedge is unchanged.
         """
-        aimed = np.flatnonzero(~np.isnan(wanted_m))
-        aimed = aimed[self.wins(sweep, len(aimed), rng)]
-        rays = rays.select(aimed)
-        depth_m = self.reported_m(sweep, rays, wanted_m[aimed], rng)
+        won = np.flatnonzero(~np.isnan(target_m))
+        won = won[self.wins(sweep, len(won), rng)]
+        rays = rays.select(won)
+        depth_m = self.reported_m(sweep, rays, target_m[won], rng)
         low_m, high_m = limits_m(sweep)
         reported = (depth_m >= low_m) & (depth_m <= high_m)
         points = rays.at(np.where(reported, depth_m, 0.0))
-        stays = ~reported | within(points, wedge)
-        if not stays.any():
+        changed = ~reported | within(points, wedge)
+        if not changed.any():
             return untouched(sweep, wedge)
         removed = np.zeros(len(sweep), np.bool_)
-        removed[rays.row[stays & (rays.row >= 0)]] = True
-        kept = reported & stays
-        forged = Forged(points[kept], rays.ring[kept], rays.column[kept], rays.row[kept])
+        removed[rays.row[changed & (rays.row >= 0)]] = True
+        added = reported & changed
+        forged = Forged(points[added], rays.ring[added], rays.column[added], rays.row[added])
         return assemble(sweep, removed, forged, wedge, rng)
 
     def spoof_nearest(
@@ -294,43 +294,43 @@ class Spoofer(Checked):
         sweep: Sweep,
         rays: Rays,
         candidates: Mask,
-        wanted_m: F64,
+        target_m: F64,
         wedge: Wedge,
         budget: int | None,
         rng: np.random.Generator,
     ) -> Tampered:
-        """Spoof at most ``budget`` of the rays that ``candidates`` (K,) marks, those nearest to the wedge's middle."""
+        """Spoof at most ``budget`` of the rays in the mask ``candidates`` (K,), those nearest to the wedge's center."""
         chosen = choose_nearest(rays, candidates, wedge, budget)
-        return self.spoof(sweep, rays, np.where(chosen, wanted_m, LEAVE), wedge, rng)
+        return self.spoof(sweep, rays, np.where(chosen, target_m, LEAVE), wedge, rng)
 
     def sigma_m(self, sweep: Sweep) -> float:
-        """Return the noise of each range in meters: given, or that of the sweep's sensor, as far as it is known."""
+        """Return the standard deviation of each range in meters: ``point_sigma_m``, or that of the sensor."""
         if self.point_sigma_m is not None:
             return self.point_sigma_m
         return (UNKNOWN_OPTICS if sweep.model is None else optics_of(sweep.model)).sigma_m
 
-    def reported_m(self, sweep: Sweep, rays: Rays, wanted_m: F64, rng: np.random.Generator) -> F64:
-        """Return what the rays (K,) that are won report: with noise, in whole steps of range where those are known."""
+    def reported_m(self, sweep: Sweep, rays: Rays, target_m: F64, rng: np.random.Generator) -> F64:
+        """Return the reported depths (K,) of won rays: with noise, rounded to the sensor's range step if known."""
         sigma_m = self.sigma_m(sweep)
         noise_m = rng.normal(0.0, 1.0) * self.frame_sigma_m + rng.normal(0.0, 1.0, len(rays)) * sigma_m
         lattice = lattice_of(sweep)
         step_m = 0.0 if lattice is None else lattice.step_m
-        noisy = wanted_m + noise_m
-        return np.rint(noisy / step_m) * step_m if step_m > 0 else noisy
+        noisy_m = target_m + noise_m
+        return np.rint(noisy_m / step_m) * step_m if step_m > 0 else noisy_m
 
 
 MEASURED_SPOOFER = Spoofer()
-"""What was measured on commercial sensors."""
+"""As measured on commercial sensors."""
 
 NOISELESS_SPOOFER = Spoofer(point_sigma_m=0.0, frame_sigma_m=0.0)
 """For ranges that are random anyway, or recorded with the noise of their own sweep."""
 
 CLEAN_SPOOFER = Spoofer(point_sigma_m=None, frame_sigma_m=0.0)
-"""One that sets ranges as exactly as the sensor measures them: no noise but the sensor's gives it away."""
+"""Sets ranges as exactly as the sensor measures them, so that its noise does not expose it."""
 
 
 def limits_m(sweep: Sweep) -> tuple[float, float]:
-    """Return the nearest and farthest depth in meters that the sensor reports, as far as it is known."""
+    """Return the minimum and maximum depth in meters that the sensor reports; assumed if the sensor is unknown."""
     if sweep.model is not None:
         return max(sweep.model.min_range_m, 0.05), sweep.model.max_range_m
     if len(sweep) == 0:
@@ -340,7 +340,7 @@ def limits_m(sweep: Sweep) -> tuple[float, float]:
 
 
 def choose_nearest(rays: Rays, candidates: NDArray[Any], wedge: Wedge, budget: int | None) -> Mask:
-    """Return which rays (K,) to attack: those among ``candidates`` (K,) nearest to the wedge's middle, in azimuth."""
+    """Return the mask (K,) of rays to attack: the ``budget`` of ``candidates`` (K,) nearest to the wedge's azimuth."""
     if budget is None or int(candidates.sum()) <= budget:
         return np.asarray(candidates, np.bool_)
     azimuth = np.arctan2(rays.direction[:, 1], rays.direction[:, 0])
@@ -352,7 +352,7 @@ def choose_nearest(rays: Rays, candidates: NDArray[Any], wedge: Wedge, budget: i
 
 
 def choose_random(candidates: Mask, budget: int | None, rng: np.random.Generator) -> Mask:
-    """Return which rays (K,) to attack: at most ``budget`` of ``candidates`` (K,), drawn at random."""
+    """Return the mask (K,) of rays to attack: at most ``budget`` random ones of ``candidates`` (K,)."""
     rows = np.flatnonzero(candidates)
     chosen = np.zeros(len(candidates), np.bool_)
     chosen[rng.permutation(rows)[: len(rows) if budget is None else budget]] = True

@@ -1,10 +1,10 @@
-"""Attacks on the beams of a wedge: where it is aimed, which beams it holds, what the budget allows.
+"""Attacks on the beams of a wedge: where the wedge is placed, and which of its beams the budget allows.
 
-Placement: which ground the obstacles of the sweep hide, and where a wedge would open it. An attacker who sees the
-same scene can know this; neither the truth nor what the victim estimates has a say.
+Placement: computes which ground the obstacles hide, and where a wedge would open it. It uses only what an attacker in
+the same scene can see, neither the truth nor the victim's estimate.
 
-Removal: returns pushed inside the minimum range, or drowned in pulses (families 8, 9 and 10). Relay: the sensor's own
-pulses, sent back later (family 12).
+Removal: returns are pushed inside the minimum range, or drowned in pulses (families 8, 9 and 10). Relay: the sensor's
+own pulses are sent back later (family 12).
 """
 
 from __future__ import annotations
@@ -38,36 +38,35 @@ from viewshed_lab.threats.attacks.spoofer import (
 )
 
 Placement = Literal["random", "behind_nearest_obstacle", "largest_hidden_area"]
-"""At a near obstacle drawn at random; where the nearest obstacle hides the most ground; where the wedge opens most."""
+"""At a random near obstacle; where the nearest obstacle hides the most ground; where the wedge opens most ground."""
 
 BINS = 360
-"""Bins of azimuth in which hidden ground is looked for."""
+"""Number of azimuth bins for hidden ground."""
 
 _RANGES = 64
-"""Steps of range up to the end of the attacker's reach."""
+"""Number of range steps up to the attacker's reach."""
 
 _ONE_OBSTACLE_M = 1.0
-"""Obstacles of neighboring bins whose nearest ranges differ by no more belong together."""
+"""Neighboring bins belong to one obstacle if their nearest ranges differ by at most this."""
 
-
-_MUCH = 0.5
-"""Share of the largest hidden area of any bin from which on an obstacle hides much."""
+_LARGE_SHARE = 0.5
+"""An obstacle hides little if it hides less than this share of the largest hidden area of any bin."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HiddenGround:
-    """What near obstacles hide, by bins of azimuth in the sensor's frame, the first from -π on."""
+    """Ground that near obstacles hide, by azimuth bins of the sensor's frame, from -π on."""
 
-    area_m2: F64  # (BINS,) float64 ground behind them at which beams aim and which none reaches
-    # (BINS,) float64 horizontal range of the nearest one, infinite where they hide little: less than half of what they
-    # hide in the bin where they hide most. A post is no place to hide behind.
+    area_m2: F64  # (BINS,) float64 area of ground behind them at which beams aim and which none reaches
+    # (BINS,) float64 horizontal range of the nearest obstacle; infinite if it hides less than half of the largest
+    # hidden area of any bin, as a post does
     nearest_m: F64
-    beams: NDArray[np.int64]  # (BINS,) int64 returns from them, which an attacker must move to open it
+    beams: NDArray[np.int64]  # (BINS,) int64 number of their returns, which an attacker must move to open the ground
 
     def opened_m2(self, sector_deg: float, budget: int | None = None) -> F64:
-        """Return the hidden area (BINS,) in m² that a wedge about the middle of each bin opens.
+        """Return the hidden area (BINS,) in m² that a wedge centered at each bin opens.
 
-        A budget is spent from the middle outward; where it ends, it opens its share of the bin.
+        The budget is spent from the center outward; in the bin where it ends, the area counts in proportion.
         """
         side = round((sector_deg * BINS / 360 - 1) / 2)
         steps = np.arange(-side, side + 1)[:BINS]
@@ -80,7 +79,7 @@ class HiddenGround:
         return np.asarray(area_m2.sum(axis=1))
 
     def behind_nearest(self) -> int:
-        """Return the bin in which the nearest obstacle that hides much hides the most ground."""
+        """Return the bin where the nearest obstacle hides the most ground; obstacles that hide little do not count."""
         first = int(np.argmin(self.nearest_m))
         bins = [first]
         for way in (1, -1):
@@ -94,15 +93,15 @@ class HiddenGround:
 def placed_azimuth(
     placement: Placement, sweep: Sweep, sector_deg: float, budget: int | None, near_m: float, reach_m: float
 ) -> float | None:
-    """Return where a wedge is centered, radians in the sensor's frame; None where no near obstacle hides any ground.
+    """Return the azimuth of a wedge's center, radians in the sensor's frame; None if no near obstacle hides any ground.
 
     Args:
-        placement: one that is not ``random``.
-        sweep: the clean one.
+        placement: any but ``random``.
+        sweep: the clean sweep.
         sector_deg: width of the wedge.
-        budget: most returns, None for all of the wedge.
+        budget: maximum number of returns, None for all of the wedge.
         near_m: obstacles nearer than this can be made to disappear.
-        reach_m: ground up to here can be opened, at most to the edge of the scene.
+        reach_m: maximum range of ground that can be opened; limited to the edge of the scene.
     """
     hidden = hidden_ground_of(sweep, near_m, min(reach_m, scene_of(sweep).ground.half_extent_m))
     if not hidden.area_m2.any():
@@ -114,16 +113,16 @@ def placed_azimuth(
 
 
 def azimuth_of_bin(number: Any) -> Any:
-    """Return the middle of a bin, in radians."""
+    """Return the center of a bin, in radians."""
     return (number + 0.5) * (2 * np.pi / BINS) - np.pi
 
 
 @lru_cache(maxsize=4)
 def hidden_ground_of(sweep: Sweep, near_m: float, reach_m: float) -> HiddenGround:
-    """Return the ground up to ``reach_m`` that obstacles nearer than ``near_m`` hide, by the returns of ``sweep``.
+    """Return the ground up to ``reach_m`` that obstacles nearer than ``near_m`` hide, from the returns of ``sweep``.
 
-    A beam aims at a place where a car of 1.5 m would meet it, on the ground there, and reaches it if it returned from
-    no nearer.
+    A beam aims at a place if it passes between the ground there and 1.5 m above it (the height of a car), and reaches
+    the place if its return is not nearer.
     """
     rays = rays_in(sweep, FULL_CIRCLE)
     start, direction = level_rays(sweep, rays)
@@ -132,12 +131,12 @@ def hidden_ground_of(sweep: Sweep, near_m: float, reach_m: float) -> HiddenGroun
     azimuth = np.arctan2(rays.direction[:, 1], rays.direction[:, 0])
     bins = np.clip(((azimuth + np.pi) * (BINS / (2 * np.pi))).astype(np.intp), 0, BINS - 1)
     blocks = is_obstacle(sweep, rays) & (rays.depth_m < near_m)
-    # The ground along the middle of each bin.
+    # Ground height along the center of each bin.
     step_m, scene, middle = reach_m / _RANGES, scene_of(sweep), azimuth_of_bin(np.arange(BINS))
     ranges = (np.arange(_RANGES) + 0.5) * step_m
     ahead = np.stack([np.cos(middle), np.sin(middle), np.zeros(BINS)], axis=1) @ scene.level_from_sensor.rotation.T
     ground = scene.ground.at((ranges[:, None, None] * ahead[:, :2]).reshape(-1, 2)).reshape(_RANGES, BINS)
-    # Step by step outward: in which bins beams aim at the ground there, and an obstacle keeps all of them from it.
+    # For each range: bins where beams aim at the ground there, a near obstacle blocks some, and none reaches it.
     hidden = np.zeros((_RANGES, BINS), np.bool_)
     for k, at_m in enumerate(ranges):
         height = start[:, 2] + at_m * slope - ground[k, bins]
@@ -147,32 +146,31 @@ def hidden_ground_of(sweep: Sweep, near_m: float, reach_m: float) -> HiddenGroun
     area_m2 = (hidden * (ranges * step_m * (2 * np.pi / BINS))[:, None]).sum(axis=0)
     nearest_m = np.full(BINS, np.inf)
     np.minimum.at(nearest_m, bins[blocks], range_m[blocks])
-    nearest_m[area_m2 < _MUCH * area_m2.max()] = np.inf
+    nearest_m[area_m2 < _LARGE_SHARE * area_m2.max()] = np.inf
     return HiddenGround(area_m2, nearest_m, np.bincount(bins[blocks], minlength=BINS))
 
 
 @dataclass(frozen=True, slots=True)
 class WedgeAttack(Checked):
-    """The beams of a wedge report something else: of the beams that a plan names, those nearest to the wedge's middle.
+    """Base of attacks that change the ranges of a wedge's beams, at most ``budget`` of them from the center outward.
 
-    A member says in :meth:`plan` which beams it attacks and what they are to report.
+    A subclass defines in :meth:`plan` the attacked beams and the depths that they report.
     """
 
-    budget: Budget = None  # most beams, those nearest to the middle of the wedge; None for all
+    budget: Budget = None  # maximum number of beams, nearest to the center of the wedge first; None for all
     sector_deg: Sector = 30.0  # width of the wedge
-    azimuth: Azimuth = None  # middle of the wedge in the sensor's frame; None aims as ``placement`` says
-    # ``random`` aims at a near obstacle drawn at random; ``behind_nearest_obstacle`` where the nearest obstacle hides
-    # the most ground; ``largest_hidden_area`` where the wedge opens most of what obstacles hide. A sweep without hidden
-    # ground leaves it to chance.
+    azimuth: Azimuth = None  # center of the wedge in the sensor's frame; None uses ``placement``
+    # ``random`` aims at a random near obstacle; ``behind_nearest_obstacle`` where the nearest obstacle hides the most
+    # ground; ``largest_hidden_area`` where the wedge opens the most hidden ground. Without hidden ground: ``random``.
     placement: Placement = "random"
-    spoofer: Spoofer = MEASURED_SPOOFER  # how well the beams are won
+    spoofer: Spoofer = MEASURED_SPOOFER  # success rate and range noise
 
     takes_empty: ClassVar[bool] = False
     """Whether the plan also covers beams without a return."""
 
     @property
     def aim_m(self) -> float:
-        """Obstacles nearer than this, in meters, are aimed at; 0 draws any azimuth."""
+        """Obstacles nearer than this, in meters, are aimed at; 0 draws a uniform azimuth."""
         return 0.0
 
     @property
@@ -181,7 +179,7 @@ class WedgeAttack(Checked):
         return np.inf
 
     def plan(self, sweep: Sweep, rays: Rays, rng: np.random.Generator) -> tuple[NDArray[Any], NDArray[np.float64]]:
-        """Return which rays (K,) of the wedge are attacked, and the depths (K,) in meters that they are to report."""
+        """Return the mask (K,) of the wedge's rays that are attacked, and their target depths (K,) in meters."""
         raise NotImplementedError
 
     def aim(self, sweep: Sweep, rng: np.random.Generator) -> Wedge:
@@ -195,7 +193,7 @@ class WedgeAttack(Checked):
         return Wedge.of_sector(azimuth_or_random(azimuth, rng), self.sector_deg)
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Tampered:
-        """Return the attacked sweep and what was done to it."""
+        """Return the attacked sweep and the record of its changes."""
         wedge = self.aim(sweep, rng)
         rays = rays_in(sweep, wedge, empty=self.takes_empty)
         attacked, depth_m = self.plan(sweep, rays, rng)
@@ -209,7 +207,7 @@ Plan = tuple[NDArray[np.bool_], NDArray[np.float64]]
 class Relay(WedgeAttack):
     """A sector of the scan with a constant offset in range: its objects stand elsewhere."""
 
-    # added to each range; returns that would be nearer than the minimum range are dropped
+    # added to each range; returns nearer than the minimum range are dropped
     offset_m: Annotated[float, Between(-1000.0, 1000.0)] = 5.0
     aim_m: Range = 30.0  # obstacles nearer than this are aimed at
 
@@ -234,7 +232,7 @@ class HighFrequencyRemoval(WedgeAttack):
     """Pulses at a high rate drown a sector: some of its beams return at random ranges, the others not at all."""
 
     sector_deg: Sector = 13.0
-    noise_rate: Share = 0.3  # share of the beams won that return noise
+    noise_rate: Share = 0.3  # of the won beams, share that returns noise
     noise_m: Range = 50.0  # noise ranges are uniform from 0 to this; those below the minimum range are dropped
     aim_m: Range = 30.0  # obstacles nearer than this are aimed at
     spoofer: Spoofer = NOISELESS_SPOOFER
@@ -252,12 +250,12 @@ class HighFrequencyRemoval(WedgeAttack):
 class Jamming(WedgeAttack):
     """A light that saturates the sensor: beams of the whole scan return at random ranges, or not at all.
 
-    A budget is spent on beams drawn at random; the sector is drawn where no azimuth is given.
+    The budget is spent on random beams. Without an azimuth, the sector is random.
     """
 
     sector_deg: Sector = 360.0
-    share: Share = 0.3  # of the beams that are jammed
-    blind_share: Share = 0.0  # of those, beams that do not return at all
+    share: Share = 0.3  # of the beams, those that are jammed
+    blind_share: Share = 0.0  # of the jammed beams, those that do not return at all
     spoofer: Spoofer = NOISELESS_SPOOFER
 
     takes_empty = True
