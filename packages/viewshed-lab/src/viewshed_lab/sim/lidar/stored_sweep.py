@@ -68,9 +68,9 @@ def _returns(
 ) -> Any:
     """Return points (N, 3), intensity, ring and time of the returns, column by column.
 
-    ``steps`` and ``level`` (intensity) are (C, R); start heights ``start_m`` (R,) and ``direction`` (C, R, 3) are in the
-    sensor's frame at the firing; ``turn`` (C, 3, 3), ``shift_m`` (C, 3) and ``column_s`` (C,) are the columns' poses and
-    times.
+    ``steps`` and ``level`` (intensity) are (C, R); start heights ``start_m`` (R,) and ``direction`` (C, R, 3) are in
+    the sensor's frame at the firing; ``turn`` (C, 3, 3), ``shift_m`` (C, 3) and ``column_s`` (C,) are the columns'
+    poses and times.
     """
     columns, rings = steps.shape
     points = np.empty((steps.size, 3), np.float32)

@@ -1,4 +1,4 @@
-"""A building under construction: its floor, what has been placed so far, and where the next thing may stand."""
+"""FloorPlan: its floor, what has been placed so far, and where the next thing may stand."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _ROOM = 4096
 
 @dataclass(frozen=True, slots=True)
 class Doorway:
-    """An opening that one can walk through: its middle in meters, and whether the wall around it runs along x."""
+    """A passable opening: its center in meters, and whether the wall around it runs along x."""
 
     x_m: float
     y_m: float
@@ -31,11 +31,11 @@ class Doorway:
 
 @dataclass(slots=True)
 class FloorPlan:
-    """A building that grows: things, and the rectangles that the next thing must not touch."""
+    """The things placed so far, and the rectangles that further things must not touch."""
 
-    rng: np.random.Generator  # all chance in this building
-    things: list[Thing] = field(default_factory=list)  # what stands, hangs or walks in it
-    doorways: list[Doorway] = field(default_factory=list)  # openings that one can walk through
+    rng: np.random.Generator  # of all random choices in this building
+    things: list[Thing] = field(default_factory=list)  # standing, hanging and walking things
+    doorways: list[Doorway] = field(default_factory=list)  # passable openings
     steps: list[Rect] = field(default_factory=list)  # edges of the floor that a robot cannot cross
     spots: list[tuple[float, float]] = field(default_factory=list)  # points that a robot should be able to reach
     _taken: NDArray[np.float64] = field(default_factory=lambda: np.empty((_ROOM, 4)))
@@ -43,11 +43,11 @@ class FloorPlan:
 
     @property
     def parts(self) -> int:
-        """How many solids there are so far."""
+        """Number of solids so far."""
         return sum(len(one.parts) for one in self.things)
 
     def clear(self, rect: Rect, gap_m: float = _GAP_M) -> bool:
-        """Return whether nothing reserved or standing lies within ``gap_m`` meters of a rectangle."""
+        """Return whether a rectangle is at least ``gap_m`` meters from all things and reserved areas."""
         taken, (x0, y0, x1, y1) = self._taken[: self._count], rect
         separate = (taken[:, 0] >= x1 + gap_m) | (taken[:, 2] <= x0 - gap_m)
         separate |= (taken[:, 1] >= y1 + gap_m) | (taken[:, 3] <= y0 - gap_m)
@@ -60,7 +60,7 @@ class FloorPlan:
             self._count += 1
 
     def add(self, group: Group) -> None:
-        """Let a group stand where it is, part by part; what is overhead does not take floor."""
+        """Place a group where it is; overhead parts do not occupy floor."""
         self.things.extend(group)
         rows = bounds(group)
         rows = rows[rows[:, 4] < _OVERHEAD_M, :4]
@@ -68,7 +68,7 @@ class FloorPlan:
         self._count += len(rows)
 
     def put(self, group: Group, gap_m: float = _GAP_M) -> bool:
-        """Let a group stand where it is if its footprint is clear, and say so."""
+        """Place a group where it is if its footprint is clear; return whether it was placed."""
         rect = footprint(group)
         if not self.clear(rect, gap_m):
             return False
@@ -77,7 +77,7 @@ class FloorPlan:
         return True
 
     def against(self, room: Rect, maker: Maker, sides: tuple[int, ...] = (0, 1, 2, 3), corner: bool = False) -> bool:
-        """Put a group with its back to a wall of a room, and say whether there was a place.
+        """Place a group with its back to a wall of a room; return whether it was placed.
 
         Args:
             room: inner faces of the walls.
@@ -96,7 +96,7 @@ class FloorPlan:
         return False
 
     def inside(self, room: Rect, maker: Maker, yaws: tuple[float, ...] = (), gap_m: float = 0.2) -> bool:
-        """Put a group anywhere in a room, at one of ``yaws`` or at any, ``gap_m`` from others; say whether it fits."""
+        """Place a group anywhere in a room at one of ``yaws`` or any yaw, ``gap_m`` from others, if it fits."""
         group = maker(self.rng)
         outline = footprint(group)
         for _ in range(8):
@@ -159,9 +159,9 @@ Heights = Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float6
 class Rise:
     """A raised part of the floor."""
 
-    rect: Rect  # where, in meters
+    rect: Rect  # its area, in meters
     height_m: float  # above the floor around it
-    ramp: Rect  # where the floor rises from 0 at one end to ``height_m`` at the other, within ``rect``
+    ramp: Rect  # area within ``rect`` in which the floor rises from 0 to ``height_m``
     side: int  # end at which the ramp begins: 0 lowest x, 1 lowest y, 2 highest x, 3 highest y; a side of ``rect``
 
     def steps(self) -> list[Rect]:
@@ -212,7 +212,7 @@ def lay(floor_plan: FloorPlan, rise: Rise) -> None:
 
 
 def floor(rise: Rise | None, inside: Rect, material: str, outside: str = "asphalt") -> Terrain:
-    """Return the ground of a building: level at 0 but for ``rise``, of ``material`` within ``inside``."""
+    """Return the ground of a building: level at 0 except for ``rise``, of ``material`` within ``inside``."""
     xs, ys = [-_HALF_M, inside[0], inside[2], _HALF_M], [-_HALF_M, inside[1], inside[3], _HALF_M]
     if rise is not None:
         for k, lines in ((0, xs), (1, ys)):

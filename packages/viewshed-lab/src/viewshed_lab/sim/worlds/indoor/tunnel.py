@@ -46,7 +46,7 @@ def tunnel(rng: np.random.Generator, plan: AgentPlan) -> World:
 
 
 def _passages(rng: np.random.Generator) -> list[Rect]:
-    """Return passages as rectangles: a long one in straight runs that step aside, branches, niches and chambers."""
+    """Return passages as rectangles: a long one in straight, offset runs, branches, niches and chambers."""
     passages: list[Rect] = []
     x, y, wide = -_HALF_M + 1.0, rng.uniform(-8.0, 8.0), rng.uniform(1.8, 4.5)
     while x < _HALF_M - 7.0:
