@@ -234,15 +234,15 @@ def cast_solids(beams: Any, solids: Any, view: Any, draws: Any, nearest: Any) ->
         for run in range(2):
             low, high = (start, min(start + count, columns)) if run == 0 else (0, start + count - columns)
             for block in range(first, last if high > low else first):
-                base, many = np.uint64((block * columns + low) * BLOCK), np.uint64((high - low) * BLOCK)
+                base, size = np.uint64((block * columns + low) * BLOCK), np.uint64((high - low) * BLOCK)
                 if not opaque:
-                    _draw_paths(base, many, np.float32(1.0 / per_m), solids.salts[s], draws, paths)
+                    _draw_paths(base, size, np.float32(1.0 / per_m), solids.salts[s], draws, paths)
                 # One branch-free loop per kind; the free path into opaque solids is 0.
                 into = none if opaque else paths
                 if kind == 0:
-                    _stop_in_box(beams, local, base, many, s, into, nearest)
+                    _stop_in_box(beams, local, base, size, s, into, nearest)
                 else:
-                    _stop_in_round(beams, local, base, many, s, kind == 1, into, nearest)
+                    _stop_in_round(beams, local, base, size, s, kind == 1, into, nearest)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -314,10 +314,10 @@ def _between_sides(p: Any, q: Any, r: Any, u: Any, v: Any, w: Any, flat: Any) ->
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _stop_in_box(beams: Any, local: Any, base: Any, many: Any, s: Any, paths: Any, nearest: Any) -> None:
+def _stop_in_box(beams: Any, local: Any, base: Any, size: Any, s: Any, paths: Any, nearest: Any) -> None:
     """Hit box ``s`` at the free path beyond its surface, unless the beam leaves it before."""
     depth, winner = nearest.depth, nearest.winner
-    for n in range(many):
+    for n in range(size):
         i = base + n
         p, q, r, u, v, w = _ray(beams, i, local)
         near, far = _between_slabs(p, q, r, u, v, w)
@@ -328,10 +328,10 @@ def _stop_in_box(beams: Any, local: Any, base: Any, many: Any, s: Any, paths: An
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _stop_in_round(beams: Any, local: Any, base: Any, many: Any, s: Any, flat: Any, paths: Any, nearest: Any) -> None:
+def _stop_in_round(beams: Any, local: Any, base: Any, size: Any, s: Any, flat: Any, paths: Any, nearest: Any) -> None:
     """Hit cylinder (``flat``) or ellipsoid ``s`` like :func:`_stop_in_box`."""
     depth, winner = nearest.depth, nearest.winner
-    for n in range(many):
+    for n in range(size):
         i = base + n
         p, q, r, u, v, w = _ray(beams, i, local)
         near, far = _between_sides(p, q, r, u, v, w, flat)
@@ -342,13 +342,13 @@ def _stop_in_round(beams: Any, local: Any, base: Any, many: Any, s: Any, flat: A
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _draw_paths(base: Any, many: Any, mean_m: Any, salt: Any, draws: Any, paths: Any) -> None:
+def _draw_paths(base: Any, size: Any, mean_m: Any, salt: Any, draws: Any, paths: Any) -> None:
     """Store the free paths in a volume of beams from ``base`` on, meters, random by beam and volume."""
     rows = paths.view(np.uint32)
     # Two loops: the hashes are vectorized, the lookups cannot be.
-    for n in range(many):
+    for n in range(size):
         rows[n] = mixed(np.uint32(base + n), salt) & np.uint32(DRAWS - 1)
-    for n in range(many):
+    for n in range(size):
         paths[n] = draws[rows[n]] * mean_m
 
 
@@ -387,12 +387,12 @@ def cast_terrain(beams: Any, ground: Any, view: Any, nearest: Any, first_index: 
             for run in range(2):
                 low, high = (start, min(start + count, columns)) if run == 0 else (0, start + count - columns)
                 for block in range(first, last if high > low else first):
-                    base, many = np.uint64((block * columns + low) * BLOCK), np.uint64((high - low) * BLOCK)
+                    base, size = np.uint64((block * columns + low) * BLOCK), np.uint64((high - low) * BLOCK)
                     if bent:
-                        _triangle(beams, local, base, many, np.float32(1.0), index, nearest)
-                        _triangle(beams, local, base, many, np.float32(-1.0), np.int32(index + 1), nearest)
+                        _triangle(beams, local, base, size, np.float32(1.0), index, nearest)
+                        _triangle(beams, local, base, size, np.float32(-1.0), np.int32(index + 1), nearest)
                     else:  # a flat quad is one plane: side 0 covers all of it
-                        _triangle(beams, local, base, many, np.float32(0.0), index, nearest)
+                        _triangle(beams, local, base, size, np.float32(0.0), index, nearest)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -461,15 +461,15 @@ def _quad_frame(ground: Any, i: Any, j: Any, view: Any, local: Any) -> Any:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _triangle(beams: Any, local: Any, base: Any, many: Any, side: Any, index: Any, nearest: Any) -> None:
-    """Hit the plane z = z0 + a (x - x0) + b (y - y0) with beams ``base`` to ``base + many``, within its triangle.
+def _triangle(beams: Any, local: Any, base: Any, size: Any, side: Any, index: Any, nearest: Any) -> None:
+    """Hit the plane z = z0 + a (x - x0) + b (y - y0) with beams ``base`` to ``base + size``, within its triangle.
 
     The triangle is where ``side`` · (u - v) ≥ 0, with u and v from 0 to 1 over the quad.
     """
     depth, winner = nearest.depth, nearest.winner
     edge, one = np.float32(-_EDGE), np.float32(1.0 + _EDGE)
     a, b = (local[0], local[1]) if side >= 0 else (local[2], local[3])
-    for n in range(many):
+    for n in range(size):
         i = base + n
         x, y, z, rise, time = beams.x[i], beams.y[i], beams.z[i], beams.rise[i], beams.time[i]
         px = local[6] + rise * local[9] + time * local[12]
