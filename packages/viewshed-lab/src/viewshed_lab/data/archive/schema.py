@@ -221,7 +221,7 @@ class ShardFacts:
 
 def code_version(commits: Sequence[str] = ()) -> dict[str, Any]:
     """Return the version of this code, and ``commits`` of earlier runs together with its own commit, if known."""
-    own = _commit([*Path(__file__).resolve().parents][:7][-1])  # a package may lie nearer to the root
+    own = _commit([*Path(__file__).resolve().parents][:7][-1])  # an installed package may have fewer parents
     return {"version": viewshed.__version__, "commits": sorted({*commits, *([own] if own else [])})}
 
 

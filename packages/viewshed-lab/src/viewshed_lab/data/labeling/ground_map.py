@@ -61,7 +61,7 @@ class Patch:
 
 
 def lows_of(points: NDArray[np.float32], world_from_points: Rigid, node_m: float, reach_m: float) -> Lows:
-    """Return the lowest of points (N, 3), at most ``reach_m`` from their origin, in nodes of the world.
+    """Return the lowest points per node of the world, of points (N, 3) within ``reach_m`` of their origin.
 
     >>> lows_of(np.array([[0.2, 1.2, 5.0], [0.3, 1.3, 4.0]], np.float32), Rigid.identity(), 1.0, 9.0).points[0, :, 2]
     array([4., 5.])

@@ -17,7 +17,7 @@ from viewshed_lab.sim.assets.street import group, person, pick
 from viewshed_lab.sim.world import Thing
 
 Group = tuple[Thing, ...]
-"""Things that belong together and are placed about a common origin."""
+"""Things that are placed together, around a common origin."""
 
 Maker = Callable[[np.random.Generator], Group]
 """Makes one group; the generator gives sizes and materials."""
@@ -45,7 +45,7 @@ def bounds(group: Iterable[Thing]) -> NDArray[np.float64]:
 
 
 def footprint(group: Iterable[Thing]) -> tuple[float, float, float, float]:
-    """Return x and y from, x and y to in meters of a whole group, from above.
+    """Return (x min, y min, x max, y max) in meters of a group.
 
     >>> footprint((Thing("table", (Box(0.0, 0.0, 1.0, 2.0, 0.7),), x_m=3.0),))
     (2.5, -1.0, 3.5, 1.0)

@@ -118,7 +118,7 @@ def _crossing(rng: np.random.Generator) -> Crossing:
 
 
 def _masts(rng: np.random.Generator, count: int, cross: Crossing) -> list[Mast]:
-    """Return masts beside the lower road, some way from the deck."""
+    """Return masts beside the lower road, at some distance from the deck."""
     posts = []
     for k in range(count):
         x, side = cross.at_m + pick(rng, (-1, 1)) * (cross.low_m - 0.4), -1 if k % 2 else 1
@@ -128,7 +128,7 @@ def _masts(rng: np.random.Generator, count: int, cross: Crossing) -> list[Mast]:
 
 
 def _structure(rng: np.random.Generator, cross: Crossing) -> list[Thing]:
-    """Return deck, girders, piers or none, parapets, and what stands on the upper road."""
+    """Return deck, girders, optional piers, parapets, and the things on the upper road."""
     top, long, wide = cross.high_m, cross.gap_m + 1.2, 2 * cross.deck_m
     deep = min(rng.uniform(0.7, 1.6), top - _LEAST_CLEAR_M)
     slab = 0.45 * deep

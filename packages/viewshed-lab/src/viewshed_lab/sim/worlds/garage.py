@@ -129,7 +129,7 @@ def _slab(rect: Rect, bottom_m: float, top_m: float) -> Box:
 
 
 def _columns(rng: np.random.Generator, one: Storey) -> list[Thing]:
-    """Return columns between the bays, where two rows stand back to back and along the outer walls."""
+    """Return columns between the bays, between back-to-back rows and along the outer walls."""
     every, size = int(rng.integers(2, 4)), rng.uniform(0.3, 0.6)
     round_ones, top = rng.random() < 0.3, one.top_m
     lines = [y + way * (_AISLE_M / 2 + _DEEP_M - 0.45) for y in one.aisles_m for way in (-1, 1)]

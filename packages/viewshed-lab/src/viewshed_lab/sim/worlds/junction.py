@@ -132,7 +132,7 @@ def _one_way(
 def _turning(
     rng: np.random.Generator, drivers: list[Driver], lane: Lane, streets: tuple[Street, Street]
 ) -> tuple[list[Driver], bool]:
-    """Let some drivers that are still can_turn the junction turn right; return the drivers, and whether any turns."""
+    """Let some drivers that are still before the junction turn right; return the drivers, and whether any turns."""
     _, other = streets
     corner = -(other.lanes - 0.5) * other.wide_m
     radius = _turn_radius(streets)

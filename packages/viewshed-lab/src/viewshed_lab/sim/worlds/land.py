@@ -46,7 +46,7 @@ _THINGS: tuple[Callable[[np.random.Generator], Thing], ...] = (
     lambda rng: hedge(rng, rng.uniform(2.0, 15.0), rng.uniform(0.6, 2.5)),
     lambda rng: town_house(rng, rng.uniform(6.0, 25.0), rng.uniform(6.0, 14.0), plain=True),
 )  # fmt: skip
-"""Any of these may stand anywhere."""
+"""Makers of the things that are scattered over the land."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -138,7 +138,7 @@ class Land:
         for ridge in self.ridges:
             land = land + ridge.at(x, y)
         land = np.where(land < self.water_m, self.water_m, land)
-        # 2. The road follows the long waves alone, raised or sunken; its banks go over into the land.
+        # 2. The road follows only the long waves, raised or sunken; its banks blend into the land.
         along, beyond = self._coordinates(x, y)
         road = self.noise.at(along, self.bend.axis(along), 2) + self.rise_m
         share = np.clip(beyond / self.bank_m, 0.0, 1.0)

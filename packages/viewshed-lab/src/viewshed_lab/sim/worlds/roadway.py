@@ -144,7 +144,7 @@ class Roadway:
         return self.edge_m + self.bank(side).beyond_m[-1]
 
     def lane_lines(self) -> list[Lane]:
-        """Return the lanes: from the innermost outward, one way and back by turns."""
+        """Return the lanes: from the innermost outward, in alternating directions."""
         across = [(k + 0.5) * self.lane_m for k in range(self.lanes)]
         return [self.bend.lane(at if back else -at, back) for at in across for back in (False, True)]
 
@@ -185,7 +185,7 @@ def row(
 ) -> list[Thing]:
     """Return pieces of a rail, fence, hedge or wall that follow a bend, ``maker(length)`` each.
 
-    Pieces lie along x of their own frame and are as long as the line ``across_m`` beside the axis is, less 5 cm.
+    Pieces lie along x of their own frame; they are 5 cm shorter than their part of the line ``across_m`` from the axis.
     """
     count = max(1, round((span_m[1] - span_m[0]) / piece_m))
     edges = np.linspace(*span_m, count + 1)

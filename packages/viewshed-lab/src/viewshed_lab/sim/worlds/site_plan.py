@@ -22,7 +22,7 @@ _ROOM = 8192
 class SitePlan:
     """The things placed so far, and the areas that further things must not touch."""
 
-    things: list[Thing] = field(default_factory=list)  # what stands in the world
+    things: list[Thing] = field(default_factory=list)  # in the world
     _taken: list[shapely.Polygon] = field(default_factory=list)
     _bounds: F64 = field(default_factory=lambda: np.empty((_ROOM, 4)))
     _open: list[shapely.Polygon] = field(default_factory=list)
@@ -50,7 +50,7 @@ class SitePlan:
     def clear(self, area: shapely.Polygon, gap_m: float = _GAP_M) -> bool:
         """Return whether an area is at least ``gap_m`` meters from all things and reserved areas."""
         x0, y0, x1, y1 = area.bounds
-        # Only areas whose upright rectangles come that near are measured.
+        # Measure only areas whose bounding rectangles are that close.
         bounds = self._bounds[: len(self._taken)]
         near = (bounds[:, 0] < x1 + gap_m) & (bounds[:, 2] > x0 - gap_m)
         near &= (bounds[:, 1] < y1 + gap_m) & (bounds[:, 3] > y0 - gap_m)

@@ -1,4 +1,4 @@
-"""FloorPlan: its floor, what has been placed so far, and where the next thing may stand."""
+"""FloorPlan: place things in a building without overlap; raised floors with ramps."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ class FloorPlan:
 
         Args:
             room: inner faces of the walls.
-            maker: what to put.
+            maker: makes the group.
             sides: walls to try: 0 at the lowest x, then 1 at the lowest y, 2 at the highest x, 3 at the highest y.
             corner: whether it should stand in a corner.
         """
@@ -138,7 +138,7 @@ def shrunk(rect: Rect, margin_m: float) -> Rect:
 
 
 def _at_wall(room: Rect, outline: Rect, side: int, share: float) -> tuple[float, float] | None:
-    """Return where the origin of a group lies whose turned footprint touches a wall, or None if it is too large."""
+    """Return the origin of a group whose rotated footprint touches a wall, or None if it is too large."""
     gap = 1.1 * _GAP_M
     x0, y0 = room[0] + gap - outline[0], room[1] + gap - outline[1]
     x1, y1 = room[2] - gap - outline[2], room[3] - gap - outline[3]
@@ -205,7 +205,7 @@ def raised_room(rect: Rect, side: int, door_m: tuple[float, float], height_m: fl
 
 
 def lay(floor_plan: FloorPlan, rise: Rise) -> None:
-    """Note a raised floor on a floor plan: its steps, its ramp, and room to turn at both ends of that."""
+    """Add a raised floor to a floor plan: its steps, its ramp, and room to turn at both ends of the ramp."""
     floor_plan.steps += rise.steps()
     floor_plan.spots += rise.path()
     floor_plan.reserve(rise.ramp, *((x - 0.5, y - 0.5, x + 0.5, y + 0.5) for x, y in (rise.path()[0], rise.path()[-1])))
