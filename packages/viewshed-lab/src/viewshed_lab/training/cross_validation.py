@@ -125,23 +125,23 @@ def crossval(
     require_torch()
     from viewshed_lab.training.fit import check_device
 
-    search, folder = Search() if search is None else search, Path(out)
+    settings, folder = Search() if search is None else search, Path(out)
     check_device(Machines(device))
     check_data(config)
-    check_folds(config, search.folds)
+    check_folds(config, settings.folds)
 
     def score_fold(setting: Hyperparameters, number: int) -> FoldScore:
-        name = f"{setting.name}/fold-{number}-of-{search.folds}"
+        name = f"{setting.name}/fold-{number}-of-{settings.folds}"
         on_step = None if on_progress is None else partial(on_progress, name)
         best = train(
             setting.of(config), folder / name, device=device, on_progress=on_step, cache=folder / "cache",
-            fold=Fold(number, search.folds),
+            fold=Fold(number, settings.folds),
         ).best  # fmt: skip
         return FoldScore(setting.name, number, best.f1, best.iou, best.validation_loss, best.number)
 
-    try_settings = _search_with_optuna if search.sampler == "optuna" else _search_grid
+    try_settings = _search_with_optuna if settings.sampler == "optuna" else _search_grid
     tried = try_settings(
-        search, config, lambda setting: tuple(score_fold(setting, number) for number in range(search.folds))
+        settings, config, lambda setting: tuple(score_fold(setting, number) for number in range(settings.folds))
     )
     scores = dict(tried)
     result = CrossValidation(min(scores, key=lambda setting: (-mean_f1(scores[setting]), setting)), scores)

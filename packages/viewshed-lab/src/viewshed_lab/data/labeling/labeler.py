@@ -161,12 +161,11 @@ class _Labeling:
         doubtful = counts <= max(MANY_BEAMS, 4 * target.min_returns)
         seen = self.patch.seen(grid.centers.reshape(-1, 2)).reshape(grid.shape)
         distance_m = distance_transform_edt(~seen) * grid.cell_m if seen.any() else np.full(grid.shape, np.inf)
-        error_m = np.minimum(GROUND_ERROR_M + GROUND_ERROR_PER_M * distance_m, MAX_GROUND_ERROR_M)
-        error_m = error_m.astype(np.float32).reshape(-1)
-        unchanged = []
+        error_m = np.minimum(GROUND_ERROR_M + GROUND_ERROR_PER_M * distance_m, MAX_GROUND_ERROR_M).astype(np.float32)
+        heights, unchanged = (ground - error_m.reshape(-1), ground + error_m.reshape(-1)), []
         for depth in (self.ends.min_m, self.ends.max_m):
             lines = self._lines(depth)
-            for height in (ground - error_m, ground + error_m):
+            for height in heights:
                 again = count_targets(lines, grid, height, TARGETS, doubtful)[target.name][1]
                 unchanged.append((again >= target.min_returns) == (counts >= target.min_returns))
         robust: Mask = np.all(unchanged, axis=0) | ~doubtful
