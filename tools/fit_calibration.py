@@ -43,7 +43,7 @@ from viewshed_lab.studies.judges import ground_errors
 from viewshed_lab.studies.wild.evaluate import ground_error_m, reach_of, row_of
 from viewshed_lab.studies.wild.figures import reliability_of
 from viewshed_lab.studies.wild.pool import Pool
-from viewshed_lab.training.no_return import MOST_DEVIATIONS, source_of
+from viewshed_lab.training.no_return import MAX_DEVIATIONS, source_of
 
 PARTS = {"road": "car", "indoor": "pedestrian"}
 CASES = tuple(product(("development", "own"), PARTS))
@@ -112,7 +112,7 @@ class CalibrationNet(nn.Module):
         self.register_buffer("mean", mean)
         self.register_buffer("scale", scale)
         of_cell = torch.arange(len(mean)) < len(mean) // 2
-        self.register_buffer("most", torch.where(of_cell, MOST_DEVIATIONS, MOST_SWEEP_DEVIATIONS))
+        self.register_buffer("most", torch.where(of_cell, MAX_DEVIATIONS, MOST_SWEEP_DEVIATIONS))
         self.first, self.second = nn.Linear(len(mean), UNITS), nn.Linear(UNITS, 1)
 
     def forward(self, feature: torch.Tensor) -> torch.Tensor:

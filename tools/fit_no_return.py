@@ -77,7 +77,9 @@ def make_file(folder: Path, scenes: list[WildScene]) -> None:
             samples = samples_of(seen, leveled, windows, cover_m)
             if samples is not None:
                 picked = rng.permutation(len(samples.end))[:GROUPS_OF_SWEEP]
-                rows.append(Samples(*(column[picked] for column in samples)))
+                rows.append(
+                    Samples(samples.feature[picked], samples.stop[picked], samples.end[picked], samples.beams[picked])
+                )
                 clean.append(np.full(len(picked), is_clean))
     if not rows:
         return

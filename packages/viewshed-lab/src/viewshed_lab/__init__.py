@@ -1,4 +1,4 @@
-"""The laboratory of viewshed: simulator, attacks, data sets, training and studies; nothing that a robot needs."""
+"""Research tools of viewshed: simulator, attacks, data sets, training and studies. Nothing here runs on a robot."""
 
 from viewshed import __version__
 

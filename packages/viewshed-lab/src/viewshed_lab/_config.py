@@ -1,4 +1,4 @@
-"""Frozen dataclasses of plain values: from and to JSON and TOML, and limits that stand beside their fields.
+"""Frozen dataclasses of plain values: conversion from and to JSON and TOML, and limits as annotations of fields.
 
 >>> @dataclass(frozen=True)
 ... class Example(Checked):
@@ -33,17 +33,17 @@ def from_dict(
     whole: Mapping[str, Iterable[str]] | None = None,
     without: Iterable[str] = (),
 ) -> dict[str, Any]:
-    """Return the fields of the dataclass ``cls`` from plain values: keys as its fields, lists for tuples.
+    """Return the fields of the dataclass ``cls`` from a table of plain values; tuples are lists there.
 
     Args:
-        cls: whose fields are str, int, float, bool, or tuples of one of them.
-        table: the plain values.
-        what: a table of this kind is called in messages.
-        whole: by key the names that ``all`` stands for.
-        without: fields that are no plain values, which the caller adds.
+        cls: dataclass whose fields are str, int, float, bool, or tuples of one of them.
+        table: the plain values, by name of the field.
+        what: name of such a table, for messages.
+        whole: names that ``all`` stands for, by key.
+        without: fields without plain values, which the caller adds.
 
     Raises:
-        ValueError: a key is missing or unknown, or a value is of another type.
+        ValueError: a key is missing or unknown, or a value has the wrong type.
     """
     types = {item.name: str(item.type) for item in fields(cls) if item.name not in without}
     if table.keys() != types.keys():
@@ -70,23 +70,23 @@ def _typed(key: str, value: Any, kind: str) -> Any:
 
 
 def to_dict(flat: Any) -> dict[str, Any]:
-    """Return a dataclass of plain values and tuples as what :func:`from_dict` takes."""
+    """Return the fields of a dataclass as a table for :func:`from_dict`."""
     return {key: list(value) if isinstance(value, tuple) else value for key, value in asdict(flat).items()}
 
 
 def preset_names(folder: str) -> tuple[str, ...]:
-    """Return the names of the TOML files in a folder of the package, in alphabetical order."""
+    """Return the sorted names of the TOML files in a folder of the package."""
     entries = resources.files("viewshed_lab").joinpath(folder).iterdir()
     return tuple(sorted(entry.name.removesuffix(".toml") for entry in entries if entry.name.endswith(".toml")))
 
 
 def load_preset(folder: str, name: str) -> dict[str, Any]:
-    """Return one of the TOML files in a folder of the package, its name among its values.
+    """Return the content of a TOML file in a folder of the package, and its name as ``name``.
 
-    A file that is ``like`` another has only what differs from that.
+    A file with the key ``like`` contains only the differences from the file that it names.
 
     Raises:
-        ValueError: there is none of that name; the message lists those that exist.
+        ValueError: there is no such file; the message lists all names.
     """
     one_of("preset", name, preset_names(folder))
     raw = resources.files("viewshed_lab").joinpath(folder, f"{name}.toml").read_text(encoding="utf-8")
@@ -96,32 +96,32 @@ def load_preset(folder: str, name: str) -> dict[str, Any]:
 
 
 MAX_BUDGET = 1_000_000_000
-"""The largest budget; more than any wedge holds."""
+"""The largest budget, more returns than any wedge has."""
 
 
 class Limit(Protocol):
-    """Anything that a parameter must keep to."""
+    """A constraint on the value of a parameter."""
 
     def check(self, name: str, value: Any) -> None:
-        """Raise a ValueError that names the parameter unless ``value`` keeps to it."""
+        """Raise a ValueError that names the parameter unless ``value`` satisfies the constraint."""
         ...
 
 
 @dataclass(frozen=True, slots=True)
 class Between:
-    """``low`` ≤ value ≤ ``high``, or ``low`` < value where that is ``open``; of a tuple, each of its values."""
+    """``low`` ≤ value ≤ ``high``, or ``low`` < value if ``open``; for a tuple, each of its values."""
 
     low: float
     high: float = np.inf
     open: bool = False
 
     def check(self, name: str, value: Any) -> None:
-        """Raise a ValueError unless ``value`` lies between the ends."""
+        """Raise a ValueError unless ``value`` lies within the bounds."""
         for one in value if isinstance(value, tuple) else (value,):
             if not self.low <= one <= self.high or (self.open and one == self.low):
                 span = f"lie in {'(' if self.open else '['}{self.low:g}, {self.high:g}]"
-                least = f"be {'more than' if self.open else 'at least'} {self.low:g}"
-                raise ValueError(f"{name} must {least if np.isinf(self.high) else span}, got {one}")
+                bound = f"be {'more than' if self.open else 'at least'} {self.low:g}"
+                raise ValueError(f"{name} must {bound if np.isinf(self.high) else span}, got {one}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,7 +132,7 @@ class Ascending:
     high: float = np.inf
 
     def check(self, name: str, value: Any) -> None:
-        """Raise a ValueError unless the pair ascends between the ends."""
+        """Raise a ValueError unless the pair ascends within the bounds."""
         first, second = value
         Between(self.low, second).check(f"{name}[0]", first)
         Between(first, self.high).check(f"{name}[1]", second)
@@ -140,7 +140,7 @@ class Ascending:
 
 @dataclass(frozen=True, slots=True)
 class OneOf:
-    """One of some words."""
+    """One of the known words."""
 
     known: Iterable[str]
 
@@ -150,7 +150,7 @@ class OneOf:
 
 
 def one_of(name: str, value: Any, known: Iterable[str]) -> None:
-    """Raise a ValueError that lists the words that are ``known`` unless ``value`` is one of them."""
+    """Raise a ValueError that lists the ``known`` words unless ``value`` is one of them."""
     if value not in known:
         raise ValueError(f"{name} must be one of {', '.join(known)}, got {value!r}")
 
@@ -168,13 +168,13 @@ class _WholeNumber:
 
 
 Budget = Annotated[int | None, _WholeNumber()]
-"""Most returns that an attacker touches; None for all that it reaches."""
+"""Largest number of returns that an attacker changes; None for all that it can reach."""
 
 Points = Annotated[int, _WholeNumber()]
-"""The same where there is no all: of points that may lie anywhere."""
+"""The same for points that may lie anywhere, so that there is no "all"."""
 
 Azimuth = Annotated[float | None, _Finite()]
-"""Radians in the sensor's frame, or None for one that is found anew for each sweep."""
+"""Radians in the sensor's frame, or None to choose one for each sweep."""
 
 Angle = Annotated[float, _Finite()]
 
@@ -188,12 +188,12 @@ Range = Annotated[float, Between(0.5, 1000.0)]
 
 
 class Checked:
-    """A dataclass whose fields must keep to the limits in their annotations; a ``Literal`` is one, too."""
+    """Base of dataclasses whose fields are checked against the limits (or ``Literal``) in their annotations."""
 
     __slots__ = ()
 
     def __post_init__(self) -> None:
-        """Raise a ValueError that names the first field that does not."""
+        """Raise a ValueError that names the first field outside its limit."""
         kind: Any = type(self)
         for name, limit, optional in _limits_of(kind):
             value = getattr(self, name)
@@ -203,12 +203,12 @@ class Checked:
 
 @cache
 def _limits_of(kind: type) -> tuple[tuple[str, Limit, bool], ...]:
-    """Return the limits of a dataclass: the field's name, its limit, and whether it may be None."""
+    """Return name, limit, and whether it may be None, of the limited fields of a dataclass."""
     limits: list[tuple[str, Limit, bool]] = []
     for name, hint in get_type_hints(kind, include_extras=True).items():
         if get_origin(hint) is Literal:
             limits.append((name, OneOf(get_args(hint)), False))
         elif get_origin(hint) is Annotated:
-            value_type, *found = get_args(hint)
-            limits += [(name, limit, NoneType in get_args(value_type)) for limit in found]
+            value_type, *metadata = get_args(hint)
+            limits += [(name, limit, NoneType in get_args(value_type)) for limit in metadata]
     return tuple(limits)

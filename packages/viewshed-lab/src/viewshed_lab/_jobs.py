@@ -1,7 +1,7 @@
 """Engines: run one function over many jobs, in processes of this machine or on a Ray cluster, with the same results.
 
-A job says all that its work needs (seeds, place, number), so results do not depend on the engine, on the number of
-workers or on the order. To add an engine, write a class and add a line to :data:`ENGINES`.
+A job contains everything that its work needs (seeds, location, number), so results do not depend on the engine, the
+number of workers or the order. To add an engine, write a class and add a line to :data:`ENGINES`.
 """
 
 from __future__ import annotations
@@ -31,44 +31,44 @@ J = TypeVar("J")
 R = TypeVar("R")
 R_co = TypeVar("R_co", covariant=True)
 Running = dict[Future[bytes], tuple[int, int]]
-"""The number of each job that is under way, and how often it was begun."""
+"""Index and number of attempts of each running job."""
 
 TRIES = 3
-"""How often a job is begun when the worker that has it dies; a job that raises is begun once."""
+"""Largest number of attempts at a job whose worker dies; a job that raises is not retried."""
 
-_GRACE_S = 2.0  # for a worker to remove what it has half written
+_GRACE_S = 2.0  # time for a worker to delete partial files
 _WAIT_S = 0.5
 _CONNECT_S = 10.0
 _RAY_ENVIRONMENT = {
-    "RAY_USAGE_STATS_ENABLED": "0",  # nothing is sent to anybody
+    "RAY_USAGE_STATS_ENABLED": "0",  # send no usage statistics
     "RAY_DEDUP_LOGS_SKIP_REGEX": "^",  # print no line of another process, not even when a node dies; read at import
-    "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0",  # our tasks ask for no accelerator; Ray warns about that otherwise
+    "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0",  # no warning that our tasks use no accelerator
 }
 
 
 @dataclass(frozen=True, slots=True)
 class Done(Generic[R_co]):
-    """One finished job: which of the jobs, from 0; its result, or one line that says why it failed."""
+    """One finished job."""
 
-    index: int
-    result: R_co | None
-    error: str | None
+    index: int  # of the job, from 0
+    result: R_co | None  # None if it failed
+    error: str | None  # one line with the reason if it failed
 
 
 class Engine(Protocol):
     """Anything that runs a function over jobs."""
 
     def run(self, work: Callable[[J], R], jobs: Sequence[J]) -> Generator[Done[R], None, None]:
-        """Yield one ``Done`` for every job as they finish, in any order; an OSError if workers cannot start.
+        """Yield one ``Done`` per job as they finish, in any order; raise an OSError if workers cannot start.
 
-        ``work``, a function of a module, jobs and results are pickled. Where the work raises, that job has an
-        ``error`` and the rest goes on; a job whose worker dies is begun again, :data:`TRIES` times in all. No more jobs
-        are under way than there are workers. Closing the iterator stops all workers.
+        ``work`` (a function of a module), jobs and results are pickled. If the work raises, that job has an ``error``
+        and the others continue; a job whose worker dies is retried, up to :data:`TRIES` attempts. At most as many jobs
+        as workers run at a time. Closing the iterator stops all workers.
         """
 
 
 def attempt(work: Callable[[J], R], index: int, job: J) -> Done[R]:
-    """Return the job done, with the error where the work raises."""
+    """Do a job and return it as ``Done``, with the error if the work raises."""
     try:
         return Done(index, work(job), None)
     except Exception as error:
@@ -76,7 +76,7 @@ def attempt(work: Callable[[J], R], index: int, job: J) -> Done[R]:
 
 
 def reason(error: BaseException) -> str:
-    """Return one line that says what was raised; where, too, if the message is not meant for users.
+    """Return one line that describes an exception, with its type and location if the message is not meant for users.
 
     >>> reason(ValueError("cells must be positive, got 0"))
     'cells must be positive, got 0'
@@ -90,16 +90,16 @@ def reason(error: BaseException) -> str:
 
 
 def cores() -> int:
-    """Return how many cores this process may use."""
+    """Return the number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if sys.platform == "linux" else os.cpu_count() or 1
 
 
 @dataclass(frozen=True, slots=True)
 class LocalEngine(Checked):
-    """Runs jobs in ``workers`` processes, None is one for each core; with one worker in this process, without any.
+    """Runs jobs in ``workers`` processes (None: one per core); with one worker, in this process.
 
     Processes are spawned, so a script must call it below ``if __name__ == "__main__":``. Ctrl-C or closing the iterator
-    ends them, and they end by themselves soon after this process is gone.
+    ends them, and they end by themselves soon after this process has ended.
     """
 
     workers: Annotated[int | None, Between(1)] = None
@@ -111,7 +111,7 @@ class LocalEngine(Checked):
                 import pebble  # noqa: F401
 
     def run(self, work: Callable[[J], R], jobs: Sequence[J]) -> Generator[Done[R], None, None]:
-        """Yield one ``Done`` for every job as they finish, see :class:`Engine`."""
+        """Yield one ``Done`` per job as they finish, see :class:`Engine`."""
         size = cores() if self.workers is None else self.workers
         if size == 1 or not jobs:
             return (attempt(work, index, job) for index, job in enumerate(jobs))
@@ -123,8 +123,8 @@ class LocalEngine(Checked):
         def started() -> pebble.ProcessPool:
             context = multiprocessing.get_context("spawn")
             pool = pebble.ProcessPool(size, initializer=_watch_parent, context=context)
-            with _without_interrupts():  # Ctrl-C is for this process, and for no thread or process of the pool
-                _ = pool.active  # starts it
+            with _without_interrupts():  # only this process handles Ctrl-C, not the pool's threads and processes
+                _ = pool.active  # starts the pool
             return pool
 
         pool = started()
@@ -145,11 +145,11 @@ class LocalEngine(Checked):
 
 @dataclass(frozen=True, slots=True)
 class RayEngine(Checked):
-    """Runs jobs as Ray tasks of one core each, at most ``workers`` at a time; None is one for each core of the cluster.
+    """Runs jobs as Ray tasks of one core each, at most ``workers`` at a time (None: one per core of the cluster).
 
-    Uses the cluster that the program has already joined or that ``RAY_ADDRESS`` names or that runs on this machine;
-    where there is none, starts one on this machine and ends it afterwards. Every machine of the cluster needs the same
-    versions of Python, Ray and viewshed.
+    Uses the cluster that the program has already joined, or that ``RAY_ADDRESS`` names, or that runs on this machine;
+    otherwise starts one on this machine and ends it afterwards. All machines of the cluster need the same versions of
+    Python, Ray and viewshed.
     """
 
     workers: Annotated[int | None, Between(1)] = None
@@ -160,13 +160,13 @@ class RayEngine(Checked):
             import ray  # noqa: F401
 
     def run(self, work: Callable[[J], R], jobs: Sequence[J]) -> Generator[Done[R], None, None]:
-        """Yield one ``Done`` for every job as they finish, see :class:`Engine`."""
+        """Yield one ``Done`` per job as they finish, see :class:`Engine`."""
         import ray
 
         running: Running = {}
         with _cluster():
             stored = ray.put(ray.cloudpickle.dumps(work))
-            # We begin lost tasks again ourselves: Ray would do so without end for those that run out of memory.
+            # We retry lost tasks ourselves: Ray would retry tasks that run out of memory forever.
             task: Any = ray.remote(num_cpus=1, max_retries=0, scheduling_strategy="SPREAD")(_do_pickled)
             try:
                 yield from _drive(
@@ -185,7 +185,7 @@ def _drive(
     size: Callable[[], int],
     running: Running,
 ) -> Generator[Done[Any], None, None]:
-    """Submit as many jobs as there are workers, yield what is done, begin again what was lost."""
+    """Submit as many jobs as there are workers, yield finished jobs, retry lost ones."""
     new, lost = iter(range(len(jobs))), list[tuple[int, int]]()
     while True:
         while len(running) < max(1, size()):
@@ -200,7 +200,7 @@ def _drive(
             running[submit(message)] = index, tries + 1
         if not running:
             return
-        # Without a timeout, a Ctrl-C just before the wait would be heard only after it.
+        # Without a timeout, a Ctrl-C just before the wait would be handled only after it.
         for future in wait(running, timeout=_WAIT_S, return_when=FIRST_COMPLETED).done:
             index, tries = running.pop(future)
             problem = future.exception()
@@ -213,7 +213,7 @@ def _drive(
 
 
 def _end(problem: BaseException) -> str:
-    """Return how a worker ended; an OSError where none comes to life."""
+    """Describe how a worker ended; raise an OSError if no worker starts."""
     if isinstance(problem, BrokenProcessPool):
         raise OSError(
             f"a worker process must start, but ended before its first job {TRIES} times; call the engine below"
@@ -237,7 +237,7 @@ def _do_pickled(work: bytes, message: bytes) -> bytes:
 
 
 def _do_locally(work: bytes, message: bytes) -> bytes:
-    """Do a job; a worker that is ended removes first what it has half written."""
+    """Do a job; on SIGTERM the worker exits normally, so that it deletes partial files."""
     before = signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
     try:
         return _do_pickled(work, message)
@@ -246,7 +246,7 @@ def _do_locally(work: bytes, message: bytes) -> bytes:
 
 
 def _watch_parent() -> None:
-    """End this worker when its parent is gone."""
+    """End this worker when its parent process has ended."""
 
     def end_with_parent() -> None:
         if parent := multiprocessing.parent_process():
@@ -272,7 +272,7 @@ def _without_interrupts() -> Iterator[None]:
 
 @contextlib.contextmanager
 def _cluster() -> Iterator[None]:
-    """Join a cluster or start one, quietly; leave what we joined."""
+    """Join or start a cluster without log output; disconnect, or stop it, afterwards."""
     for name, value in _RAY_ENVIRONMENT.items():
         os.environ.setdefault(name, value)
     import ray
@@ -283,7 +283,7 @@ def _cluster() -> Iterator[None]:
     address = os.environ.get("RAY_ADDRESS", "")
     host, _, port = address.removeprefix("ray://").rpartition(":")
     try:
-        if host and port.isdigit():  # Ray would try for minutes where nobody listens
+        if host and port.isdigit():  # Ray would retry for minutes if nothing listens there
             socket.create_connection((host.strip("[]"), int(port)), timeout=_CONNECT_S).close()
         ray.init(include_dashboard=False, log_to_driver=False, logging_level=logging.ERROR)
     except (ray.exceptions.RayError, OSError, RuntimeError, ValueError) as error:
@@ -296,11 +296,11 @@ def _cluster() -> Iterator[None]:
 
 
 ENGINES: dict[str, Callable[[int | None], Engine]] = {"local": LocalEngine, "ray": RayEngine}
-"""From a name to a function that makes the engine for a number of workers; None is one for each core."""
+"""By name, the factory of an engine for a number of workers; None is one per core."""
 
 
 def engine_named(name: str, workers: int | None = None) -> Engine:
-    """Return the engine with this name and number of workers; None is one for each core of the machine or the cluster.
+    """Return the engine with this name and number of workers; None is one per core of the machine or the cluster.
 
     Raises:
         ValueError: there is no such engine, or ``workers`` is below 1.

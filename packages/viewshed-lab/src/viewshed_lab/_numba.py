@@ -12,7 +12,7 @@ from numba import njit
 def atan2(y: Any, x: Any) -> Any:
     """Return the float32 azimuth of (x, y) in [-π, π) radians, within 2e-5; 0 at the origin.
 
-    A minimax polynomial of the arctangent on [0, 1], odd, to the eleventh power.
+    Odd minimax polynomial of the arctangent on [0, 1], degree 11.
     """
     ax, ay = abs(x), abs(y)
     small, large = (ax, ay) if ax < ay else (ay, ax)

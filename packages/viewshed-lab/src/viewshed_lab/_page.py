@@ -1,4 +1,4 @@
-"""What a figure was measured on, and Markdown tables: every page of results begins and looks the same."""
+"""Provenance and Markdown tables, shared by all result pages."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from pathlib import Path
 from viewshed_lab._results import result_pages, with_numbers
 
 _HERE = [*Path(__file__).parents][:5][-1]
-"""The checkout that this file is of; a package may lie nearer to the root."""
+"""Root of this file's checkout; an installed package may have fewer parent folders."""
 
 
 def facts(**more: str) -> dict[str, str]:
@@ -33,7 +33,7 @@ def facts(**more: str) -> dict[str, str]:
 
 
 def page(title: str, provenance: Mapping[str, str], *parts: str) -> str:
-    r"""Return a Markdown page: title, its three numbers, the parts, and at its end the facts as a list.
+    r"""Return a Markdown page: title, its key numbers, the parts, and at its end the facts as a list.
 
     >>> page("Areas", {"seed": "0"}, "text")
     '# Areas\n\ntext\n\n## How it was made\n\n- seed: 0\n'
@@ -58,7 +58,7 @@ def table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 
 
 def _command() -> str:
-    """The command as a reader would type it: no folder of this machine."""
+    """Return the command as a reader would type it, without folders of this machine."""
     module = sys.modules["__main__"].__spec__
     program = [Path(sys.argv[0]).name] if module is None else ["python", "-m", module.name.removesuffix(".__main__")]
     return shlex.join([*program, *map(_without_folder, sys.argv[1:])])
@@ -79,7 +79,7 @@ def _processor() -> str:
 
 
 def commit_of(checkout: Path) -> str:
-    """Return the commit of a checkout, shortened, and whether its sources were changed since; "unknown" without one."""
+    """Return a checkout's short commit and whether its sources have changed since; "unknown" without a checkout."""
     commit = _git(checkout, "rev-parse", "--short", "HEAD")
     if not commit:
         return "unknown"
@@ -88,9 +88,9 @@ def commit_of(checkout: Path) -> str:
 
 
 def sources_hash(paths: Sequence[str], commit: str = "") -> str:
-    """Return a hash of the tracked files at paths of the checkout, as they are or at a commit; "" where git has none.
+    """Return a hash of the contents of the tracked files at ``paths``, now or at a commit; "" if there are none.
 
-    Contents count, names and places do not.
+    Names and locations of the files do not matter.
     """
     if commit:
         blobs = [line.split()[2] for line in _git(_HERE, "ls-tree", "-r", commit, "--", *paths).splitlines()]
@@ -101,7 +101,7 @@ def sources_hash(paths: Sequence[str], commit: str = "") -> str:
 
 
 def _git(checkout: Path, *words: str) -> str:
-    if not (checkout / ".git").exists():  # of an installed package: git would take a checkout around it
+    if not (checkout / ".git").exists():  # an installed package: git would find an enclosing checkout
         return ""
     try:
         done = subprocess.run(["git", *words], cwd=checkout, check=True, capture_output=True, text=True)

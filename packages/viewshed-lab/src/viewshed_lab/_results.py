@@ -1,7 +1,7 @@
-"""What stands on a page of results: its three numbers on top, its tables, and which of them are left out.
+"""Result pages: the three key numbers on top, and the tables that the published page omits.
 
-``result_pages.toml`` says it for every page by its title. A number is never typed there: it names a cell of one of
-the page's tables.
+``result_pages.toml`` describes every page by its title. It never contains the numbers themselves, only the table cells
+that hold them.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ _MADE = "## How it was made"
 class KeyNumber:
     """A number on top of a page: a cell of one of its tables."""
 
-    of: str  # what it is the number of
+    of: str  # description of the number
     table: str = ""  # heading of the section, and ``#2`` for its second table
-    row: str = ""  # how the row begins, its cells joined by " | ", without stars and backticks
+    row: str = ""  # beginning of the row, its cells joined by " | ", without stars and backticks
     column: str = ""  # header of the column
 
     def find(self, markdown: str) -> str | None:
-        """Return the number as it stands on the page, or None."""
+        """Return the number as printed on the page, or None."""
         for address, header, rows in _tables(markdown):
             at = _position(header, self.column)
             if address != (self.table if "#" in self.table else f"{self.table} #1") or at is None:
@@ -44,15 +44,14 @@ class KeyNumber:
 
 @dataclass(frozen=True, slots=True)
 class ResultPage:
-    """What describes one page."""
+    """Description of one page."""
 
-    title: str  # of the page, or of several that one command writes
-    group: str = ""  # of the overview, under which it stands
+    title: str  # of the page, or of several pages that one command writes
+    group: str = ""  # section of the overview
     files: Sequence[str] = ()  # names of the published pages without suffix
-    # for its top; of more than three the first three that are found. None where the writer heads it itself.
-    numbers: Sequence[KeyNumber] = ()
-    # of the published page, as regular expressions: sections by their heading, tables as ``Heading #2``, rows as
-    # ``Heading #2 | how the row reads``
+    numbers: Sequence[KeyNumber] = ()  # the first three that are found go on top; empty if the page has its own top
+    # parts that the published page omits, as regular expressions: sections by their heading, tables as ``Heading #2``,
+    # rows as ``Heading #2 | text of the row``
     left_out: Sequence[str] = ()
     sources: Sequence[str] = ()  # files and folders of the repository that its figures depend on
 
@@ -72,7 +71,7 @@ def result_pages() -> dict[str, ResultPage]:
 
 
 def sources_in(text: str) -> dict[str, list[str]]:
-    """Return the sources of each page by title, from the text of a ``result_pages.toml``; a set gives what it holds."""
+    """Return the sources of each page by title, from the text of a ``result_pages.toml``, with sets expanded."""
     settings = tomllib.loads(text)
     sets = settings.get("sets", {})
     return {
@@ -82,28 +81,28 @@ def sources_in(text: str) -> dict[str, list[str]]:
 
 
 def with_numbers(title: str, facts: str, body: str) -> str:
-    """Return a page: title, its three numbers, the body, and at its end how it was made."""
+    """Return a page: title, its key numbers, the body, and at its end how it was made."""
     page = result_pages().get(title)
-    found = [(number.find(body), number.of) for number in page.numbers] if page else []
-    top = "\n".join(f"- **{value}** {of}" for value, of in [one for one in found if one[0]][:_NUMBERS])
+    numbers = [(number.find(body), number.of) for number in page.numbers] if page else []
+    top = "\n".join(f"- **{value}** {of}" for value, of in [number for number in numbers if number[0]][:_NUMBERS])
     ending = f"{_MADE}\n\n{facts}" if facts else ""
     return "\n\n".join(part.strip("\n") for part in (f"# {title}", top, body, ending) if part) + "\n"
 
 
 def shortened(name: str, markdown: str) -> str:
-    """Return a page less what ``result_pages.toml`` leaves out, with a note that names the file with all of it.
+    """Return a page without the parts that ``result_pages.toml`` omits, with a note that names the full page's file.
 
     Args:
         name: of the page without suffix.
-        markdown: of the whole page.
+        markdown: of the full page.
     """
     title, _, rest = markdown.partition("\n")
     page = result_pages().get(title.removeprefix("# "))
     if page is None or not page.left_out:
         return markdown
     kept: list[str] = []
-    skipping = 0  # depth of the heading whose section is left out, or 0
-    heading, count = "", 0  # of the present section, and of its tables so far
+    skipping = 0  # depth of the heading whose section is omitted, or 0
+    heading, count = "", 0  # of the current section, and number of its tables so far
     for block in re.split(r"\n{2,}", rest.strip("\n")):
         depth = depth_of(block)
         if depth:
@@ -117,12 +116,12 @@ def shortened(name: str, markdown: str) -> str:
         if skipping:
             continue
         if is_table and _any(page.left_out, f"{heading} #{count}"):
-            # The paragraph between two tables is about the second.
+            # The paragraph between two tables describes the second one.
             if count > 1 and not kept[-1].startswith(("|", "#", "!")):
                 kept.pop()
             continue
         kept.append(_without_rows(page.left_out, f"{heading} #{count}", block) if is_table else block)
-    # A heading under which nothing is left says nothing.
+    # Drop headings without content.
     kept = [
         block for block, after in zip(kept, [*kept[1:], "#"], strict=True)
         if not depth_of(block) or not depth_of(after) or depth_of(after) > depth_of(block)
@@ -135,13 +134,13 @@ def shortened(name: str, markdown: str) -> str:
 
 
 def page_files(name: str, markdown: str) -> dict[str, str]:
-    """Return a page as ``NAME.md``, shortened, and where that left anything out, as ``NAME_full.md`` too."""
+    """Return a page as ``NAME.md``, shortened, and if that omitted anything, also as ``NAME_full.md``."""
     short = shortened(name, markdown)
     return {f"{name}.md": short} | ({f"{name}_full.md": markdown} if short != markdown else {})
 
 
 def write_page(path: Path, markdown: str) -> Path:
-    """Write a page as a .md, shortened, the whole of it beside it where that left anything out, return its place."""
+    """Write the files of :func:`page_files` beside ``path``, and return the path of the shortened page."""
     path.parent.mkdir(parents=True, exist_ok=True)
     for name, text in page_files(path.stem, markdown).items():
         write_atomic(path.parent / name, text.encode())
@@ -160,12 +159,12 @@ def _any(patterns: Sequence[str], text: str) -> bool:
 
 
 def depth_of(block: str) -> int:
-    """Return the level of a heading of Markdown, 0 for any other block."""
+    """Return the level of a Markdown heading, 0 for any other block."""
     return len(block) - len(block.lstrip("#")) if block.startswith("#") else 0
 
 
 def _tables(markdown: str) -> Iterator[tuple[str, list[str], list[list[str]]]]:
-    """Yield the tables of a page with heading and number, header, and rows."""
+    """Yield address (heading and number), header and rows of the tables of a page."""
     heading, count = "", 0
     for block in re.split(r"\n{2,}", markdown.strip("\n")):
         if depth_of(block):

@@ -1,1 +1,1 @@
-"""Commands of the laboratory; ``viewshed`` finds them by the entry points ``viewshed.commands``."""
+"""Research commands; ``viewshed`` loads them by the entry points ``viewshed.commands``."""

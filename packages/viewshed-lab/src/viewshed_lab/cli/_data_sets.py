@@ -1,4 +1,4 @@
-"""Data sets of commands that make them: the bar while they are made, and the line when they are done."""
+"""Progress bar and summary line of commands that make data sets."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ if TYPE_CHECKING:
 def build_with_bar(
     name: str, total: int | None, build: Callable[[Callable[[ShardResult], None]], Archive]
 ) -> tuple[Archive, int]:
-    """Return a data set and how many problems its shards had, each reported as it comes up; a bar counts its sweeps.
+    """Build a data set with a progress bar that counts sweeps; return it and the number of reported problems.
 
-    ``build`` makes the data set and is given what to call with each finished shard.
+    ``build`` makes the data set; its argument is the function to call with each finished shard.
     """
     from rich.progress import TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
@@ -36,6 +36,6 @@ def build_with_bar(
 
 
 def data_set_line(archive: Archive, content: str) -> str:
-    """Return where a data set lies, what is in it in words, and how large it is, in one line."""
+    """Return one line with a data set's location, content, number of shards and size."""
     size = sum(shard.bytes for shard in archive.shards)
     return f"{archive.store.place}: {content}, {len(archive.shards)} shards, {size / 1e6:.1f} MB"

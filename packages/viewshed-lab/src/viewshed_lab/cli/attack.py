@@ -1,4 +1,4 @@
-"""``viewshed attack`` and ``viewshed corrupt``: a data set, a recording or a file, with its sweeps tampered with."""
+"""``viewshed attack`` and ``viewshed corrupt``: tamper with the sweeps of a data set, a recording or a file."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def attack(
     from viewshed_lab.threats.attacks import EARLIER
 
     chosen = (attack, budget, mode, placement, victim)
-    _attack_plan(*chosen, options.parse_grid(grid))  # refuses what cannot be before SRC is read
+    _attack_plan(*chosen, options.parse_grid(grid))  # rejects invalid options before SRC is read
     sweeps = _opened(sources, split, grid, sensor)
     if attack in EARLIER and all(part.last <= 1 for part in sweeps.parts):
         raise ValueError(f"{attack} needs an earlier sweep, got one of each scene; give a recording or a data set")
@@ -115,7 +115,7 @@ def corrupt(
 
 
 def _file_of(sources: Sequence[str], out: str) -> Path | None:
-    """Return the file to be written, where the source is one file and ``out`` is named like a sweep; else None."""
+    """Return the file to write if the source is one file and ``out`` is named like a sweep, else None."""
     from viewshed.io import FORMATS
 
     written = tuple(suffix for form in FORMATS.values() if form.write is not None for suffix in form.suffixes)
@@ -124,7 +124,7 @@ def _file_of(sources: Sequence[str], out: str) -> Path | None:
 
 
 def _budget(text: str | None, attack: str) -> int | None:
-    """Return a budget from text; ``full`` is every beam of the wedge.
+    """Parse a budget; ``full`` is every beam of the wedge.
 
     >>> _budget("150", "far_wall")
     150
@@ -145,17 +145,17 @@ def _opened(sources: Sequence[str], split: str | None, grid: str, sensor: str) -
     from viewshed_lab.data import Archive
     from viewshed_lab.data.tampered import sweeps_of_archive, sweeps_of_files, sweeps_of_recording
 
-    first, wanted = Path(sources[0]), options.parse_grid(grid)
+    first, parsed = Path(sources[0]), options.parse_grid(grid)
     if len(sources) == 1 and is_data_set(sources[0]):
         return sweeps_of_archive(Archive.open(sources[0]), split)
     if split is not None:
         raise ValueError(f"--split goes with a data set that has splits, got {sources[0]}")
     if len(sources) == 1 and is_recording(first):
-        return sweeps_of_recording(str(first.absolute()), wanted)
+        return sweeps_of_recording(str(first.absolute()), parsed)
     for path in map(Path, sources):
         if not path.is_file():
             raise FileNotFoundError(f"{path}: no such file; name one data set, one recording, or files")
-    return sweeps_of_files([Path(source) for source in sources], Reading(sensor).sweeps, wanted)
+    return sweeps_of_files([Path(source) for source in sources], Reading(sensor).sweeps, parsed)
 
 
 def _run(

@@ -1,4 +1,4 @@
-"""``viewshed evaluate``: figures against truth that no estimator made."""
+"""``viewshed evaluate``: evaluate estimators against independent truth."""
 
 from __future__ import annotations
 
@@ -53,9 +53,9 @@ def truth(
     from viewshed_lab.studies.against_truth import FORMS, TruthEvaluation, page_of
     from viewshed_lab.studies.fixed_views import FIXED_VIEWS
 
-    wanted = parse_target(target)
-    evaluation = TruthEvaluation(_makers(methods, wanted, weights, FIXED_VIEWS), wanted, FORMS)
-    _tell(page_of([_opened(path, split) for path in archives], evaluation, limit, split or "all", _on_step), out)
+    parsed = parse_target(target)
+    evaluation = TruthEvaluation(_makers(methods, parsed, weights, FIXED_VIEWS), parsed, FORMS)
+    _write_page(page_of([_opened(path, split) for path in archives], evaluation, limit, split or "all", _on_step), out)
 
 
 def _opened(path: str, split: str | None) -> Archive:
@@ -71,7 +71,7 @@ def _opened(path: str, split: str | None) -> Archive:
 def _makers(
     methods: str, target: Target, weights: str | None, more: Mapping[str, Callable[[BevGrid], FovEstimator]]
 ) -> dict[str, Callable[[BevGrid], FovEstimator]]:
-    """Return what makes the estimators of ``methods`` by name; ``more`` are those known besides ours."""
+    """Return the factories of the estimators in ``methods``, by name; ``more`` are known besides ours."""
     from viewshed.estimators import CLASSICAL, LEARNED
     from viewshed.estimators.shadow_map import NO_RETURN_RULES, ShadowMap
 
@@ -113,7 +113,7 @@ def crossview(
     from viewshed_lab.studies.crossview.page import page_of
 
     estimators, names = _estimators(methods), [name for name in attacks.split(",") if name]
-    _tell(page_of(index, estimators, names, seed, _on_step, floor=floor), out)
+    _write_page(page_of(index, estimators, names, seed, _on_step, floor=floor), out)
 
 
 _JUDGED = "shadow_map,majority_vote,first_blocker,continuous,concave_hull"
@@ -135,7 +135,7 @@ def survey(
     from viewshed.recordings.read import open_source
     from viewshed_lab.studies.judges import survey_page
 
-    _tell(survey_page(log, open_source(log, "argoverse2"), _estimators(methods), CAR), out)
+    _write_page(survey_page(log, open_source(log, "argoverse2"), _estimators(methods), CAR), out)
 
 
 @evaluate_app.command()
@@ -157,7 +157,7 @@ def boxes(
     from viewshed_lab.studies.judges import boxes_page
 
     failures = Failures()
-    _tell(boxes_page(recording, open_source(recording), _estimators(methods), CAR, limit, failures.report), out)
+    _write_page(boxes_page(recording, open_source(recording), _estimators(methods), CAR, limit, failures.report), out)
     if failures.count:
         raise typer.Exit(2)
 
@@ -184,13 +184,13 @@ def beyond(
 
     jobs, failures = list(chosen_files(files or [], index)), Failures()
     sweeps = named_sweeps(DEFAULT_READING, jobs, output_names([file for file, _ in jobs]), failures)
-    _tell(beyond_page((named.name, named.sweep) for named in sweeps), out)
+    _write_page(beyond_page((named.name, named.sweep) for named in sweeps), out)
     if failures.count:
         raise typer.Exit(2)
 
 
 def _estimators(methods: str) -> dict[str, FovEstimator]:
-    """Return estimators for cars on the road grid by name, the paper's on its own."""
+    """Return estimators for cars by name, on the road grid; the paper's estimators on the paper's grid."""
     from viewshed.estimators import PAPER_ESTIMATORS
     from viewshed.fov.visibility import CAR
     from viewshed.grid import GRIDS
@@ -204,8 +204,8 @@ def _on_step(step: str) -> None:
     typer.echo(f"viewshed: {step}", err=True)
 
 
-def _tell(text: str, out: Path | None) -> None:
-    """Write a page to a file, or to the screen."""
+def _write_page(text: str, out: Path | None) -> None:
+    """Write a page to a file, or print it."""
     if out is None:
         typer.echo(text)
     else:

@@ -1,4 +1,4 @@
-"""``viewshed label``: what each sweep of a benign recording could have seen, as a data set."""
+"""``viewshed label``: label a benign recording with what each sweep could have seen; write a data set."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``viewshed quantize``: a trained network that multiplies bytes."""
+"""``viewshed quantize``: quantize a trained network to int8."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ def quantize(
     from viewshed_lab.training.calibrate_int8 import quantize as run
 
     for cost in run(read_config(config), network, out, frames):
-        several = f"deviation {cost.deviation_int8:.4f} and {cost.deviation:.4f}, " if cost.passes > 1 else ""
+        deviations = f"deviation {cost.deviation_int8:.4f} and {cost.deviation:.4f}, " if cost.passes > 1 else ""
         typer.echo(
-            f"{out}: F1 {cost.f1_int8:.4f} in bytes, {cost.f1:.4f} in float32; {several}probabilities"
+            f"{out}: F1 {cost.f1_int8:.4f} in bytes, {cost.f1:.4f} in float32; {deviations}probabilities"
             f" {cost.mean_difference:.4f} apart, {cost.flipped_share:.2%} of the cells flipped; passes: {cost.passes}"
         )

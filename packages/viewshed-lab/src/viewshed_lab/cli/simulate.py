@@ -1,4 +1,4 @@
-"""``viewshed simulate`` and ``viewshed dataset``: make data sets, and look at them."""
+"""``viewshed simulate`` and ``viewshed dataset``: make and inspect data sets."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def simulate(
 
 
 def _publish(archive: Archive) -> None:
-    """Write the data card of the published data set, and compare its shards with the recorded hashes."""
+    """Write the data card of the published data set, and check its shards against the recorded hashes."""
     from viewshed_lab.data import release
 
     archive.store.write(release.CARD, release.card(archive).encode())
@@ -158,8 +158,8 @@ def _configured(preset: Preset, sweeps: int | None, seed: int | None, grid: str 
     if seed is not None:
         preset = replace(preset, seed=seed)
     if grid is not None:
-        wanted = options.parse_grid(grid)
-        preset = replace(preset, grid_cells=wanted.cells, grid_half_extent_m=float(wanted.half_extent_m))
+        parsed = options.parse_grid(grid)
+        preset = replace(preset, grid_cells=parsed.cells, grid_half_extent_m=float(parsed.half_extent_m))
     return preset
 
 

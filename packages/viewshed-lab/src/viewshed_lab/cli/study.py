@@ -1,4 +1,4 @@
-"""``viewshed study``: studies that run, go on where they were stopped, and write their pages."""
+"""``viewshed study``: run or resume studies, and write their pages."""
 
 from __future__ import annotations
 
@@ -31,10 +31,10 @@ Pages = Annotated[Path | None, typer.Option("--page", help="Folder of the pages 
 _BOTH = "both"
 
 _Work = Callable[..., Iterator[str]]
-"""Does the jobs of a store and yields one line for each that failed."""
+"""Runs the jobs of a store and yields one line per failed job."""
 
 _Files = Callable[[Any], dict[str, bytes]]
-"""Makes the pages of a store, by the names of their files."""
+"""Returns the pages of a store, by file name."""
 
 
 @study_app.callback()
@@ -145,10 +145,10 @@ def monitor(
             facts={"per_hour": "6", "streams": f"{len(streams)} simulated, {plan.seconds:g} s each"},
         )  # fmt: skip
         save_calibration(fitted, calibrated)
-    made = load_calibration(calibrated)
-    called = [one for trace in traces or () for one in call_trace(trace, StreamMonitor(made))]
+    calibration = load_calibration(calibrated)
+    calls = [call for trace in traces or () for call in call_trace(trace, StreamMonitor(calibration))]
     report, benign = (read_streams(folder / "streams", part) for part in ("report", "benign"))
-    _show(page or folder, files_of(plan, made, report, benign, called, tried(plan)))
+    _show(page or folder, files_of(plan, calibration, report, benign, calls, tried(plan)))
     _require_all_done(failed)
 
 
@@ -178,13 +178,13 @@ def spoofing(
     numbers = None if key is None else [int(word) if word.strip().isdecimal() else -1 for word in key.split(",")]
     if numbers is not None and (len(traces) > 1 or min(numbers) < 0):
         raise ValueError(f"--key must be numbers of sweeps of one trace, got {key!r} for {len(traces)} traces")
-    watching = stream_monitor(monitor_file)
-    called = [one for trace in traces for one in call_trace(trace, watching, numbers)]
-    written = write_page(out, trace_page(called, watching.limit, watching.per_hour))
+    stream = stream_monitor(monitor_file)
+    calls = [call for trace in traces for call in call_trace(trace, stream, numbers)]
+    written = write_page(out, trace_page(calls, stream.limit, stream.per_hour))
     counts = [
-        f"{sum(one.inconsistent for one in some)} of {len(some)} {what}"
+        f"{sum(call.inconsistent for call in group)} of {len(group)} {what}"
         for is_spoofed, what in ((True, "spoofed sweeps"), (False, "honest sweeps"), (None, "sweeps without a --key"))
-        if (some := [one for one in called if one.is_spoofed is is_spoofed])
+        if (group := [call for call in calls if call.is_spoofed is is_spoofed])
     ]
     typer.echo(f"called: {', '.join(counts)}; look at {written}")
 
@@ -292,7 +292,7 @@ def wild(
 
     folder, plan = _folder(out, "wild"), WildPlan.load(preset)
     for file in network or ():
-        load_runner(file)  # one that cannot be read fails here and not in every job
+        load_runner(file)  # an unreadable file fails here instead of in every job
     plan = replace(plan, networks=tuple(map(str, network or ())))
     opening = None
     if run and plan.opens_sealed and open_sealed:
@@ -344,7 +344,7 @@ study_app.command()(crossview)
 
 
 def _run(plan: Plan, folder: Path, page: Path | None, work: _Work | None, files_of: _Files | None) -> None:
-    """Do what is not done of a plan (None: nothing), write its pages (None: none), and refuse if a job failed."""
+    """Run the open jobs of a plan (None: none), write its pages (None: none); raise a ValueError if a job failed."""
     from viewshed_lab.studies.store import PLAN, ResultStore
 
     if work is None and not (folder / PLAN).exists():
@@ -357,14 +357,14 @@ def _run(plan: Plan, folder: Path, page: Path | None, work: _Work | None, files_
 
 
 def _folder(out: Path | None, name: str) -> Path:
-    """Return the folder of a study with its whole path: jobs may be done elsewhere."""
+    """Return the absolute path of a study's folder: jobs may run in another working directory."""
     return (out or Path(name)).expanduser().resolve()
 
 
-def _steps(only: str | None, every: tuple[str, ...]) -> tuple[str, ...]:
-    chosen = every if only is None else tuple(only.split(","))
-    if unknown := [step for step in chosen if step not in every]:
-        raise ValueError(f"--only must be some of {', '.join(every)}, got {unknown[0]!r}")
+def _steps(only: str | None, known: tuple[str, ...]) -> tuple[str, ...]:
+    chosen = known if only is None else tuple(only.split(","))
+    if unknown := [step for step in chosen if step not in known]:
+        raise ValueError(f"--only must be some of {', '.join(known)}, got {unknown[0]!r}")
     return chosen
 
 
@@ -374,7 +374,7 @@ def _require_all_done(failed: list[str]) -> None:
 
 
 def _show(folder: Path, files: Mapping[str, bytes]) -> None:
-    """Write the pages of a study and say where the main one is, the last."""
+    """Write the pages of a study and print the path of the main page, the last one."""
     from viewshed._files import write_atomic
     from viewshed_lab._results import write_page
 
@@ -388,7 +388,7 @@ def _show(folder: Path, files: Mapping[str, bytes]) -> None:
 
 
 def _with_bars(run: Callable[[Progress], Iterator[str]]) -> list[str]:
-    """Return one line for each job that is not done; it is printed as it happens, and a bar shows each step."""
+    """Run jobs with a progress bar per step; print and return one line for each failed job."""
     from rich.progress import TaskID, TimeElapsedColumn, TimeRemainingColumn
 
     from viewshed.cli._outputs import progress_bar
@@ -399,7 +399,7 @@ def _with_bars(run: Callable[[Progress], Iterator[str]]) -> list[str]:
 
     def on_progress(step: str, done: int, total: int) -> None:
         if not bars.console.is_terminal:
-            # A log gets a line for every fiftieth of the jobs.
+            # Without a terminal, print a line for every fiftieth of the jobs.
             if (now := done * 50 // total) > fiftieths.get(step, 0):
                 fiftieths[step] = now
                 typer.echo(f"{step}: {done} of {total}", err=True)

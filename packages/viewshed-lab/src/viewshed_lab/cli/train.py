@@ -1,4 +1,4 @@
-"""``viewshed train`` and ``viewshed crossval``: fit networks, and choose how."""
+"""``viewshed train`` and ``viewshed crossval``: train networks, and choose hyperparameters."""
 
 from __future__ import annotations
 
@@ -42,13 +42,13 @@ def train(
     from viewshed_lab.training import read_config
     from viewshed_lab.training import train as run
 
-    wanted = read_config(config)
-    bar = _Bar(wanted.name)
+    settings = read_config(config)
+    bar = _Bar(settings.name)
     try:
-        done = run(wanted, out, device=device, devices=devices, nodes=nodes, on_progress=bar, cache=cache)
+        trained = run(settings, out, device=device, devices=devices, nodes=nodes, on_progress=bar, cache=cache)
     finally:
         bar.close()
-    typer.echo(_summary(done))
+    typer.echo(_summary(trained))
 
 
 def crossval(
@@ -71,27 +71,27 @@ def crossval(
     from viewshed_lab.training.cross_validation import PAGE, Search, mean_f1
     from viewshed_lab.training.cross_validation import crossval as run
 
-    wanted = read_config(config)
-    bar = _Bar(wanted.name)
+    settings = read_config(config)
+    bar = _Bar(settings.name)
     try:
-        validated = run(wanted, out, search=Search(sampler, trials, folds), device=device, on_progress=bar.show)
+        validated = run(settings, out, search=Search(sampler, trials, folds), device=device, on_progress=bar.show)
     finally:
         bar.close()
     mean = mean_f1(validated.scores[validated.chosen])
     typer.echo(f"{validated.chosen.name}: mean F1 {mean:.4f} over {folds} folds; read {out}/{PAGE}")
 
 
-def _summary(done: Trained) -> str:
-    best = done.best
+def _summary(trained: Trained) -> str:
+    best = trained.best
     return (
-        f"{done.weights}: best epoch {best.number} of {len(done.history)}, validation F1 {best.f1:.4f}, IoU "
-        f"{best.iou:.4f}; {done.frames_per_s:.1f} frames/s, {done.network_share:.0%} of the time in the network"
+        f"{trained.weights}: best epoch {best.number} of {len(trained.history)}, validation F1 {best.f1:.4f}, IoU "
+        f"{best.iou:.4f}; {trained.frames_per_s:.1f} frames/s, {trained.network_share:.0%} of the time in the network"
     )
 
 
 @dataclass(slots=True)
 class _Bar:
-    """A progress bar that begins with the first report, in the process that reports."""
+    """A progress bar that starts with the first report, in the reporting process."""
 
     name: str
     bar: Progress | None = None

@@ -1,4 +1,4 @@
-"""Data sets: samples with truth, in archives of Parquet files; recordings of others."""
+"""Data sets: samples with truth, stored in archives of Parquet files, and labels for recordings."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    """Import a name when it is first used: a recording is read without what archives and truth need."""
+    """Import a name on first use, so that reading a recording does not import what archives and truth need."""
     if name not in _HOMES:
         raise AttributeError(f"module 'viewshed_lab.data' has no attribute {name!r}")
     return getattr(import_module(f"viewshed_lab.data.{_HOMES[name]}"), name)

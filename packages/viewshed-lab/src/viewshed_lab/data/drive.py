@@ -1,4 +1,4 @@
-"""A simulated drive as a stream: the sweeps of several agents in the order of time, each with what the world tells."""
+"""Stream a simulated drive: the sweeps of several agents in time order, each with its truth."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ OBJECT_KINDS = frozenset({
     "animal", "bus", "car", "cart", "cyclist", "forklift", "motorcycle", "pedestrian", "robot", "tractor", "trailer",
     "truck", "van",
 })  # fmt: skip
-"""Things that are objects whether they move or not; whatever else moves is one as well."""
+"""Kinds of things that are objects even at rest; every other thing is an object if it moves."""
 
 SEEN_RETURNS = 5
-"""Least number of returns of an object that a sensor sees."""
+"""Smallest number of returns of a visible object."""
 
 _DT_S = 0.05
 
@@ -33,13 +33,13 @@ _DT_S = 0.05
 def drive_plan(
     preset: Preset, *, seconds: float, hz: float, agents: int, world: str | None = None, seed: int | None = None
 ) -> ScenePlan:
-    """Return one scene of a preset, in clear weather, as a drive.
+    """Plan a drive: one scene of a preset in clear weather.
 
     Args:
-        preset: brings sensors, mounting height and kinds of world.
-        seconds: how long it lasts.
-        hz: sweeps of each agent a second.
-        agents: vehicles that measure, in turns; sensors on masts are as many as the preset has.
+        preset: source of sensors, mounting height and kinds of world.
+        seconds: duration.
+        hz: sweeps per second of each agent.
+        agents: number of vehicles with a sensor; the preset gives the number of sensors on masts.
         world: kind of world; None is the first of the preset.
         seed: of the world and of the noise; None is the preset's.
 
@@ -54,20 +54,20 @@ def drive_plan(
     name = preset.worlds[0] if world is None else world
     one_of("world", name, WORLDS)
     frames = int(seconds * hz + 1e-9) * (agents + preset.roadside)
-    one = replace(
+    drive = replace(
         preset, worlds=(name,), world_weights=(1.0,), splits=("drive",), scenes=(1,), frames=(frames,), moving=agents,
         conditions=("clear",), condition_weights=(1.0,), interval_s=1 / hz,
         revolution_s=min(preset.revolution_s, 1 / hz), seed=preset.seed if seed is None else seed,
     )  # fmt: skip
-    return ScenePlan(one, 0, 0)
+    return ScenePlan(drive, 0, 0)
 
 
 def drive_sweeps(plan: ScenePlan, world: World | None = None) -> Iterator[tuple[Sweep, DriveTruth]]:
-    """Yield the sweeps of a drive with what its world tells, agent after agent, then the next time.
+    """Yield the sweeps of a drive with their truth: at each time one sweep of every agent.
 
     Args:
         plan: of the drive.
-        world: takes the place of the plan's own; with the same agents, of other mountings perhaps.
+        world: replaces the plan's world; it must have the same agents, possibly mounted differently.
     """
     world, agents = world or world_of(plan), plan.preset.agents
     carriers = {agent.carrier for agent in world.agents}
@@ -87,15 +87,15 @@ def drive_sweeps(plan: ScenePlan, world: World | None = None) -> Iterator[tuple[
         by_thing = np.bincount(scan.thing[(scan.thing >= 0) & (stored.steps > 0)], minlength=len(world.things))
         returns = by_thing[movable].astype(np.int32)
         seen = tuple(
-            each for each, count in zip(objects, returns, strict=True)
-            if count >= SEEN_RETURNS and each.number != agent.carrier
+            item for item, count in zip(objects, returns, strict=True)
+            if count >= SEEN_RETURNS and item.number != agent.carrier
         )  # fmt: skip
         pose, velocity_mps = _carrier(world, agent, t_s)
         yield stored.sweep(), DriveTruth(mounts, objects, returns, seen, agent.carrier, pose, velocity_mps)
 
 
 def _carrier(world: World, agent: Agent, t_s: float) -> tuple[Rigid, NDArray[np.float64]]:
-    """Return the pose of what carries an agent's sensor, and its velocity (3,) in its own frame, m/s."""
+    """Return the pose of the carrier of an agent's sensor, and the carrier's velocity (3,) in its own frame, m/s."""
     if agent.carrier is None:
         return agent.mount, np.zeros(3)
     pose = world.pose_of(agent.carrier, t_s)
@@ -105,7 +105,7 @@ def _carrier(world: World, agent: Agent, t_s: float) -> tuple[Rigid, NDArray[np.
 
 
 def box_of(thing: Thing) -> tuple[NDArray[np.float64], tuple[float, float, float]]:
-    """Return center (3,) and size of the box about all parts of a thing, in its own frame."""
+    """Return center (3,) and size of the bounding box of a thing, in the thing's frame, m."""
     rear, front, right, left = extent(thing, np.inf)
     low = np.array([rear, right, min(part.bottom_m for part in thing.parts)])
     high = np.array([front, left, max(part.top_m for part in thing.parts)])
@@ -116,7 +116,7 @@ def box_of(thing: Thing) -> tuple[NDArray[np.float64], tuple[float, float, float
 def object_at(
     world: World, number: int, t_s: float, center: NDArray[np.float64], size_m: tuple[float, float, float]
 ) -> ObjectTruth:
-    """Return a thing of a world at a time, with the center and the size of :func:`box_of`."""
+    """Return the box of a thing at a time, given its center and size from :func:`box_of`."""
     pose = world.pose_of(number, t_s)
     return ObjectTruth(number, world.things[number].kind, pose @ Rigid(np.eye(3), center), size_m)
 
@@ -124,9 +124,9 @@ def object_at(
 def simulated_drive(
     preset: str, *, seconds: float, hz: float, agents: int, world: str | None = None, seed: int | None = None
 ) -> Iterator[tuple[Sweep, DriveTruth]]:
-    """Return the sweeps of a drive of a preset by its name, see :func:`drive_plan`.
+    """Yield the sweeps of a drive of the preset with this name; see :func:`drive_plan`.
 
-    The entry point of ``viewshed.drives``.
+    Entry point of ``viewshed.drives``.
     """
     plan = drive_plan(preset_named(preset), seconds=seconds, hz=hz, agents=agents, world=world, seed=seed)
     return drive_sweeps(plan)

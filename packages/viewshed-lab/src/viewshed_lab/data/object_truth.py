@@ -1,4 +1,4 @@
-"""Objects that a sweep should show: boxes in the level frame, their returns, and what a detector finds of them."""
+"""True objects of a sweep: boxes in the level frame and their returns; counts of what a detector finds."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ ROAD_WORLDS = (
     "street", "junction", "highway", "parking", "residential", "street", "junction", "residential", "country_road",
     "glass_fronts", "slope_town", "site", "parking",
 )  # fmt: skip
-"""Kinds of world in which a detector for roads is fitted and judged, in turns; towns more often than the rest."""
+"""Kinds of world to fit and evaluate a road detector in, used in turn; towns occur more often."""
 
 ROAD_SENSORS = (
     "hdl32e", "hdl64e", "vlp16", "vlp32c", "os1_64", "pandar40p", "xt32", "hdl32e", "hdl64e", "os1_32", "os0_32",
 )  # fmt: skip
-"""Sensors that take turns in these worlds."""
+"""Sensors in these worlds, used in turn."""
 
 INDOOR_WORLDS = ("rooms", "corridors", "hall", "warehouse")
 INDOOR_SENSORS = ("vlp16", "os0_32", "os1_32", "hdl32e")
@@ -41,17 +41,17 @@ KIND_OF_CATEGORY = {
     "cyclist": ObjectKind.CYCLIST, "motorcycle": ObjectKind.CYCLIST,
     "pedestrian": ObjectKind.PEDESTRIAN,
 }  # fmt: skip
-"""What the categories of the simulator are to a detector; every other is ``OTHER``."""
+"""Detector kind of each simulator category; every other category is ``OTHER``."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SweepObjects:
-    """The true objects about one sensor at the time of one sweep, in its ``level`` frame, without its own carrier."""
+    """True objects around a sensor at the time of a sweep, in its ``level`` frame, without the sensor's carrier."""
 
     boxes: NDArray[np.float64]  # (K, 7) float64, columns :data:`viewshed.detections.BOX_COLUMNS`
     kinds: NDArray[np.uint8]  # (K,) uint8 of :class:`viewshed.detections.ObjectKind`
-    returns: NDArray[np.int32]  # (K,) int32 returns that each gave
-    numbers: NDArray[np.int64]  # (K,) int64 the same for one object over time
+    returns: NDArray[np.int32]  # (K,) int32 number of returns
+    numbers: NDArray[np.int64]  # (K,) int64 identity of the object, constant over time
 
     def __len__(self) -> int:
         """Return the number of objects."""
@@ -59,37 +59,37 @@ class SweepObjects:
 
     @property
     def range_m(self) -> NDArray[np.float64]:
-        """Horizontal range (K,) of the centers from the sensor."""
+        """Horizontal range (K,) of the box centers from the sensor, m."""
         return np.hypot(self.boxes[:, 0], self.boxes[:, 1])
 
-    def take(self, chosen: NDArray[Any]) -> Self:
-        """Return some of them, by a mask (K,) or by their places."""
-        return type(self)(self.boxes[chosen], self.kinds[chosen], self.returns[chosen], self.numbers[chosen])
+    def take(self, index: NDArray[Any]) -> Self:
+        """Return the objects that a mask (K,) or an array of indices selects."""
+        return type(self)(self.boxes[index], self.kinds[index], self.returns[index], self.numbers[index])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ObjectSweep:
-    """A simulated sweep, leveled, with the objects that it should show."""
+    """A simulated, leveled sweep with its true objects."""
 
     world: str  # kind of world
     sensor: str  # beam table
     leveled: LeveledSweep  # the sweep
-    objects: SweepObjects  # what is there
+    objects: SweepObjects  # true objects
 
 
 def road_sweeps(seed: int, drives: int, sensors: tuple[str, ...] = ROAD_SENSORS) -> Iterator[ObjectSweep]:
-    """Yield two sweeps of each of some drives in ``ROAD_WORLDS``, one vehicle in clear weather, 3 s apart.
+    """Yield two sweeps, 3 s apart, of each drive in ``ROAD_WORLDS``, with one vehicle in clear weather.
 
     Args:
-        seed: of the first drive; the next ones have the next seeds.
-        drives: how many.
-        sensors: take turns.
+        seed: of the first drive; the following drives have the following seeds.
+        drives: number of drives.
+        sensors: beam tables, used in turn.
     """
     yield from _sweeps("drives", "road", ROAD_WORLDS, sensors, seed, drives)
 
 
 def indoor_sweeps(seed: int, drives: int) -> Iterator[ObjectSweep]:
-    """Yield two sweeps of each of some drives of a robot indoors, as :func:`road_sweeps`."""
+    """Yield two sweeps of each drive of an indoor robot; see :func:`road_sweeps`."""
     yield from _sweeps("rooms", "indoor", INDOOR_WORLDS, INDOOR_SENSORS, seed, drives)
 
 
@@ -98,19 +98,19 @@ def _sweeps(
 ) -> Iterator[ObjectSweep]:
     for k in range(drives):
         world, sensor = worlds[k % len(worlds)], sensors[(k + k // len(worlds)) % len(sensors)]
-        one = replace(preset_named(preset), sensors=(sensor,))
-        plan = drive_plan(one, seconds=_SECONDS, hz=_HZ, agents=1, world=world, seed=seed + k)
+        with_sensor = replace(preset_named(preset), sensors=(sensor,))
+        plan = drive_plan(with_sensor, seconds=_SECONDS, hz=_HZ, agents=1, world=world, seed=seed + k)
         for sweep, truth in drive_sweeps(plan):
             leveled = level(sweep, GRIDS[grid])
             yield ObjectSweep(world, sensor, leveled, objects_of_sweep(leveled, truth))
 
 
 def objects_of_sweep(leveled: LeveledSweep, truth: DriveTruth) -> SweepObjects:
-    """Return the objects of a simulated drive as the sensor of one sweep should see them.
+    """Return the true objects of a sweep of a simulated drive, in the sweep's ``level`` frame.
 
     Args:
-        leveled: a sweep of :func:`viewshed_lab.data.drive.drive_sweeps`, leveled.
-        truth: what came with it.
+        leveled: a leveled sweep of :func:`viewshed_lab.data.drive.drive_sweeps`.
+        truth: the truth that came with it.
 
     Raises:
         ValueError: the sweep has no pose.
@@ -119,58 +119,58 @@ def objects_of_sweep(leveled: LeveledSweep, truth: DriveTruth) -> SweepObjects:
     if world_from_level is None:
         raise ValueError("the sweep must have a pose, got none; take it as drive_sweeps gave it")
     level_from_world = world_from_level.inverse()
-    poses = [level_from_world @ each.world_from_box for each in truth.objects]
+    poses = [level_from_world @ item.world_from_box for item in truth.objects]
     boxes = np.array(
-        [(*pose.translation, *each.size_m, pose.yaw) for pose, each in zip(poses, truth.objects, strict=True)]
+        [(*pose.translation, *item.size_m, pose.yaw) for pose, item in zip(poses, truth.objects, strict=True)]
     ).reshape(-1, 7)
-    kinds = np.array([KIND_OF_CATEGORY.get(each.category, ObjectKind.OTHER) for each in truth.objects], np.uint8)
-    numbers = np.array([each.number for each in truth.objects], np.int64)
-    others = np.array([each.number != truth.carrier for each in truth.objects], np.bool_)
+    kinds = np.array([KIND_OF_CATEGORY.get(item.category, ObjectKind.OTHER) for item in truth.objects], np.uint8)
+    numbers = np.array([item.number for item in truth.objects], np.int64)
+    others = np.array([item.number != truth.carrier for item in truth.objects], np.bool_)
     return SweepObjects(boxes, kinds, truth.returns, numbers).take(others)
 
 
 def measure_table(detector: Detector, sweeps: Iterable[ObjectSweep], about: Mapping[str, Any]) -> DetectionTable:
-    """Return the counts of a detector over simulated sweeps."""
+    """Count a detector's hits, misses and false detections over simulated sweeps."""
     kinds, ranges = len(ObjectKind), len(RANGE_M) - 1
     found, total = (np.zeros((kinds, len(RETURNS), ranges), np.int64) for _ in range(2))
     matched, false = np.zeros((kinds, ranges), np.int64), np.zeros((kinds, ranges), np.int64)
     count = 0
-    for each in sweeps:
+    for sweep in sweeps:
         count += 1
-        objects = each.objects.take(each.objects.range_m < RANGE_M[-1])
-        detections = detector.detect(each.leveled)
+        objects = sweep.objects.take(sweep.objects.range_m < RANGE_M[-1])
+        detections = detector.detect(sweep.leveled)
         match = match_any(detections.boxes, objects.boxes)
-        # 1. Objects by class, and which of them were found.
+        # 1. Count the objects, and the detected ones, by kind, expected returns and range.
         is_found = np.zeros(len(objects), np.bool_)
         is_found[match[match >= 0]] = True
-        place = (objects.kinds, *_classes(each, objects))
-        np.add.at(total, place, 1)
-        np.add.at(found, place, is_found)
-        # 2. Detections of objects, by the kind of these.
+        bins = (objects.kinds, *_bins(sweep, objects))
+        np.add.at(total, bins, 1)
+        np.add.at(found, bins, is_found)
+        # 2. Count the true detections by kind and range of their objects.
         true = objects.take(match[match >= 0])
-        np.add.at(matched, (true.kinds, _range_class(true.boxes)), 1)
-        # 3. Detections that are nothing, or the second of one object.
+        np.add.at(matched, (true.kinds, _range_bin(true.boxes)), 1)
+        # 3. Count the false detections, including second detections of an object.
         wrong = detections.take((match < 0) & (np.hypot(*detections.boxes[:, :2].T) < RANGE_M[-1]))
-        np.add.at(false, (wrong.kinds, _range_class(wrong.boxes)), 1)
+        np.add.at(false, (wrong.kinds, _range_bin(wrong.boxes)), 1)
     return DetectionTable(found, total, matched, false, count, about)
 
 
-def match_any(found: NDArray[np.float64], true: NDArray[np.float64]) -> NDArray[np.intp]:
-    """Return the match (K,) of found boxes, within 2 m or, of long objects, a quarter of their length."""
-    match = match_boxes(found, true)
-    free = np.setdiff1d(np.flatnonzero(true[:, 3] / 4 > WITHIN_M), match)
-    for t in free:
-        away_m = np.hypot(*(found[:, :2] - true[t, :2]).T) + np.where(match >= 0, np.inf, 0.0)
-        if away_m.size and away_m.min() <= true[t, 3] / 4:
-            match[away_m.argmin()] = t
+def match_any(detected: NDArray[np.float64], true: NDArray[np.float64]) -> NDArray[np.intp]:
+    """Match detected boxes (K) to true ones, within 2 m or, for long objects, within a quarter of their length."""
+    match = match_boxes(detected, true)
+    unmatched = np.setdiff1d(np.flatnonzero(true[:, 3] / 4 > WITHIN_M), match)
+    for t in unmatched:
+        distance_m = np.hypot(*(detected[:, :2] - true[t, :2]).T) + np.where(match >= 0, np.inf, 0.0)
+        if distance_m.size and distance_m.min() <= true[t, 3] / 4:
+            match[distance_m.argmin()] = t
     return match
 
 
-def _classes(each: ObjectSweep, objects: SweepObjects) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return the classes (K,) of expected returns and of range of objects."""
-    expected = expected_returns(each.leveled, objects.boxes, leave_out_own=True)
-    return np.searchsorted(RETURNS, expected, "right") - 1, _range_class(objects.boxes)
+def _bins(sweep: ObjectSweep, objects: SweepObjects) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return the bins (K,) of the objects' expected returns and ranges."""
+    expected = expected_returns(sweep.leveled, objects.boxes, leave_out_own=True)
+    return np.searchsorted(RETURNS, expected, "right") - 1, _range_bin(objects.boxes)
 
 
-def _range_class(boxes: NDArray[np.float64]) -> NDArray[np.intp]:
+def _range_bin(boxes: NDArray[np.float64]) -> NDArray[np.intp]:
     return np.searchsorted(RANGE_M, np.hypot(boxes[:, 0], boxes[:, 1]), "right") - 1

@@ -1,4 +1,4 @@
-"""Presets: how a simulated data set is composed, one flat TOML each."""
+"""Presets: composition of simulated data sets, one flat TOML file each."""
 
 from __future__ import annotations
 
@@ -17,36 +17,36 @@ MAX_SEED = 2**32 - 1
 _TABLES = "data/preset_tables"
 
 MAX_CELLS = 2048
-"""Cells a side that a frame may have: a worker with one more target than ours still stays below half a gigabyte."""
+"""Most cells per side of a frame's grid: with one more target than ours, a worker stays below half a gigabyte."""
 
 
 @dataclass(frozen=True, slots=True)
 class Preset:
-    """How a simulated data set is composed. Lists of names have weights or numbers beside them.
+    """Composition of a simulated data set.
 
     Raises:
-        ValueError: a name is not known, a number is out of range, or lists differ in length.
+        ValueError: a name is unknown, a number is out of range, or lists differ in length.
     """
 
     name: str  # of the preset
-    about: str  # one line for people
+    about: str  # one-line description
     worlds: tuple[str, ...]  # kinds of world, of ``WORLDS``
-    world_weights: tuple[float, ...]  # in what proportion the scenes are of each kind
+    world_weights: tuple[float, ...]  # relative frequency of each kind over the scenes
     splits: tuple[str, ...]  # names of the splits
     scenes: tuple[int, ...]  # number of scenes of each split
     frames: tuple[int, ...]  # number of sweeps of each split, spread evenly over its scenes
-    moving: int  # vehicles or robots in each scene that measure
+    moving: int  # vehicles or robots with a sensor in each scene
     roadside: int  # sensors on masts in each scene
-    sensors: tuple[str, ...]  # beam tables of the moving ones; the scenes take them in turn
-    roadside_sensor: str  # beam table of those on masts
-    sensor_height_m: float  # of the moving ones
+    sensors: tuple[str, ...]  # beam tables of the moving sensors, used in turn over the scenes
+    roadside_sensor: str  # beam table of the sensors on masts
+    sensor_height_m: float  # of the moving sensors
     interval_s: float  # between two sweeps of one agent
-    revolution_s: float  # duration of a sweep; 0 lets all beams fire at once
-    conditions: tuple[str, ...]  # weather and faults, of ``CONDITIONS``; one for each scene
-    condition_weights: tuple[float, ...]  # in what proportion the scenes have them
-    grid_cells: int  # cells a side of the truth
-    grid_half_extent_m: float  # half the side of the truth's grid
-    seed: int  # of everything random
+    revolution_s: float  # duration of a sweep; 0 fires all beams at once
+    conditions: tuple[str, ...]  # weather and faults, of ``CONDITIONS``; one per scene
+    condition_weights: tuple[float, ...]  # relative frequency of each condition over the scenes
+    grid_cells: int  # cells per side of the truth's grid
+    grid_half_extent_m: float  # half the side length of the truth's grid
+    seed: int  # of all random numbers
 
     def __post_init__(self) -> None:
         for names, numbers in (("worlds", "world_weights"), ("conditions", "condition_weights"),
@@ -80,11 +80,11 @@ class Preset:
 
     @classmethod
     def from_json(cls, table: dict[str, Any]) -> Preset:
-        """Return the preset in plain values: keys as the attributes, lists for tuples."""
+        """Return the preset of a table of plain values: the keys are the attributes, tuples are lists."""
         return cls(**flat.from_dict(cls, table, "preset"))
 
     def to_json(self) -> dict[str, Any]:
-        """Return the preset as plain values."""
+        """Return the preset as a table of plain values."""
         return flat.to_dict(self)
 
     @property
@@ -94,7 +94,7 @@ class Preset:
 
     @property
     def agents(self) -> int:
-        """Agents in each scene."""
+        """Number of agents in each scene."""
         return self.moving + self.roadside
 
     @property
@@ -103,12 +103,12 @@ class Preset:
         return sum(self.frames)
 
     def plan(self, sensor: int, duration_s: float) -> AgentPlan:
-        """Return which sensors a world must carry; ``sensor`` is the number of the moving agents' one."""
+        """Return the sensors of a world; ``sensor`` is the index of the moving agents' beam table in ``sensors``."""
         height_m = self.sensor_height_m
         return AgentPlan(self.moving, self.roadside, self.sensors[sensor], self.roadside_sensor, height_m, duration_s)
 
     def scaled(self, sweeps: int) -> Preset:
-        """Return the preset with another number of sweeps: splits keep their ratio, scenes their length if they can.
+        """Return the preset with another number of sweeps; splits keep their ratio, scenes their length if possible.
 
         Raises:
             ValueError: there are fewer sweeps than splits.
@@ -126,7 +126,7 @@ class Preset:
 
 
 def _shared(total: int, weights: tuple[int, ...]) -> list[int]:
-    """Return whole numbers that add up to ``total`` in the ratio of ``weights``, none of them 0."""
+    """Split ``total`` into positive integers in the ratio of ``weights``."""
     rest, counts = total, []
     for index, weight in enumerate(weights):
         after = len(weights) - index - 1
@@ -138,13 +138,13 @@ def _shared(total: int, weights: tuple[int, ...]) -> list[int]:
 
 @lru_cache(maxsize=4)
 def _grid(cells: int, half_extent_m: float) -> BevGrid:
-    """Return one grid for all that ask: it computes its centers once."""
+    """Return a shared grid, so that its cell centers are computed only once."""
     return BevGrid(cells, half_extent_m)
 
 
 @lru_cache(maxsize=1)
 def preset_names() -> tuple[str, ...]:
-    """Return the names that :func:`preset_named` knows, in alphabetical order."""
+    """Return the names of all presets, sorted."""
     return flat.preset_names(_TABLES)
 
 
@@ -152,6 +152,6 @@ def preset_named(name: str) -> Preset:
     """Return the preset called ``name``.
 
     Raises:
-        ValueError: there is none of that name; the message lists those that exist.
+        ValueError: there is no such preset; the message lists all names.
     """
     return Preset.from_json(flat.load_preset(_TABLES, name))

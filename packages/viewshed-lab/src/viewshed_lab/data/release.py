@@ -1,4 +1,4 @@
-"""The published small data set: made from its seed by ``viewshed simulate release``, held against recorded hashes."""
+"""The published small data set: ``viewshed simulate release`` makes it from its seed; recorded hashes verify it."""
 
 from __future__ import annotations
 
@@ -21,32 +21,32 @@ CARD = "README.md"
 
 @dataclass(frozen=True, slots=True)
 class Published:
-    """What is published of the data set."""
+    """Recorded hashes of the published data set."""
 
-    shards: dict[str, str]  # SHA-256 of each shard by the name of its file
-    made_with: dict[str, str]  # versions of what decides about bytes, by name
+    shards: dict[str, str]  # SHA-256 of each shard, by file name
+    made_with: dict[str, str]  # versions of the packages that determine the bytes, by name
 
 
 @cache
 def published() -> Published:
-    """Return the hashes that travel with the package."""
+    """Return the hashes that the package ships."""
     text = resources.files("viewshed_lab.data").joinpath("release.json").read_text(encoding="utf-8")
     return Published(**json.loads(text))
 
 
 def other_shards(archive: Archive) -> list[str]:
-    """Return the names of the shards that are not byte for byte those published, missing and new ones too."""
-    found = {shard.name: shard.sha256 for shard in archive.manifest.shards}
-    wanted = published().shards
-    return sorted(name for name in {*found, *wanted} if found.get(name) != wanted.get(name))
+    """Return the names of the shards that differ from the published ones, are missing, or are new."""
+    listed = {shard.name: shard.sha256 for shard in archive.manifest.shards}
+    expected = published().shards
+    return sorted(name for name in {*listed, *expected} if listed.get(name) != expected.get(name))
 
 
 def open_release(place: str | os.PathLike[str]) -> Archive:
-    """Open the published data set; every shard is read once and must be byte for byte the published one.
+    """Open the published data set; read every shard once and check that it equals the published one byte by byte.
 
     Raises:
-        ValueError: it is not there, another data set, or damaged.
-        OSError: it cannot be read.
+        ValueError: the data set is missing, another one, or damaged.
+        OSError: a file cannot be read.
     """
     archive = Archive.open(place)
     other = other_shards(archive)
@@ -62,7 +62,7 @@ def open_release(place: str | os.PathLike[str]) -> Archive:
 
 
 def card(archive: Archive) -> str:
-    """Return the data card of the data set as Markdown: what it holds, how it was made, what it is not for."""
+    """Return the data card as Markdown: content, origin, and uses that it is not suited for."""
     recipe: dict[str, Any] = archive.manifest.recipe["config"]
     shards = archive.manifest.shards
     text = resources.files("viewshed_lab.data").joinpath("release_card.md").read_text(encoding="utf-8")
@@ -88,6 +88,6 @@ def card(archive: Archive) -> str:
 
 
 def digest_of(shards: tuple[ShardFacts, ...]) -> str:
-    """Return one SHA-256 over the hashes of all shards, in the order of their names."""
+    """Return one SHA-256 over the hashes of all shards, ordered by name."""
     lines = sorted(f"{shard.sha256}  {shard.name}\n" for shard in shards)
     return hashlib.sha256("".join(lines).encode()).hexdigest()

@@ -1,4 +1,4 @@
-"""Sample: one sweep with its truth, and where that truth is known."""
+"""Sample: one sweep, its truth, and the cells where that truth is known."""
 
 from __future__ import annotations
 
@@ -19,23 +19,23 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Sample:
-    """One sweep with its truth: the one type for it, in memory, in archives and in studies.
+    """One sweep with its truth, in memory, in archives and in studies.
 
     Raises:
-        ValueError: ``known`` does not fit the truth's grid, or ``tampered`` is of another number of returns.
+        ValueError: ``known`` does not fit the truth's grid, or ``tampered`` has another number of returns.
     """
 
-    # what the sensor measured: a range image, or points where there is none. Archives store a range image in a tenth of
-    # the space of its points; :attr:`sweep` computes the points when they are first needed.
+    # the measured range image, or points where there is none. A range image takes a tenth of the space of its points;
+    # :attr:`sweep` computes the points on first use.
     measured: StoredSweep | Sweep
     truth: Truth  # what the sensor could have seen
     # (cells, cells) bool, False where no truth exists (below the vehicle itself, outside the world)
     known: NDArray[np.bool_]
-    scene: str = ""  # where it was measured; splits never cut through a scene
+    scene: str = ""  # name of the scene; a scene is in one split only
     split: str = ""  # ``train``, ``test``, …
-    tampered: Tampered | None = None  # the attacked sweep and what was done to it, or None where it is not known
-    # the range image that an attacked sweep was made from, or None. Archives store it with the rows that the attacker
-    # made, which takes less memory than all points.
+    tampered: Tampered | None = None  # the attacked sweep with its added and removed rows, or None if unknown
+    # the clean range image of an attacked sweep, or None. Archives store it with the rows that the attacker added,
+    # which takes less space than all points.
     clean: StoredSweep | None = None
 
     def __post_init__(self) -> None:
@@ -59,10 +59,10 @@ class Sample:
         return self.measured if isinstance(self.measured, Sweep) else self.measured.sweep()
 
     def attacked(self, tampered: Tampered) -> Sample:
-        """Return the sample after an attack on its sweep; the truth stays."""
+        """Return the sample with an attacked sweep; the truth does not change."""
         clean = None if isinstance(self.measured, Sweep) else self.measured
         return replace(self, measured=tampered.sweep, tampered=tampered, clean=clean)
 
     def corrupted(self, sweep: Sweep) -> Sample:
-        """Return the sample with another sweep, of whose returns it is unknown which moved; the truth stays."""
+        """Return the sample with a corrupted sweep, without a record of the changed returns; the truth is the same."""
         return replace(self, measured=sweep, tampered=None, clean=None)

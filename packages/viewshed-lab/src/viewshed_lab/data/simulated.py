@@ -1,6 +1,6 @@
-"""Simulated data sets: everything random in a frame follows from the seed and the frame's place in the data set.
+"""Simulated data sets: all random numbers of a frame depend only on the seed and the frame's place in the data set.
 
-So frames can be simulated in any order, on any machine, and a run that was stopped resumes to the same bytes.
+So frames can be simulated in any order and on any machine, and an interrupted run resumes to the same bytes.
 """
 
 from __future__ import annotations
@@ -41,9 +41,9 @@ _FOR_WORLD, _FOR_OBSERVATION, _FOR_WORLD_KIND, _FOR_CONDITIONS, _FOR_SENSOR = ra
 class ScenePlan:
     """One scene of a simulated data set."""
 
-    preset: Preset  # the composition that it is part of
-    split: int  # number of its split
-    number: int  # its number in the split
+    preset: Preset  # composition of the data set
+    split: int  # index of the scene's split
+    number: int  # number of the scene in the split
 
     @property
     def split_name(self) -> str:
@@ -52,37 +52,37 @@ class ScenePlan:
 
     @property
     def name(self) -> str:
-        """Its name in the archive: split, number, kind of world, conditions."""
+        """Name in the archive: split, number, kind of world, conditions."""
         return f"{self.split_name}-{self.number:04d}-{self.world_kind}-{self.conditions}"
 
     @property
     def frames(self) -> int:
-        """Number of its frames: agent after agent, then the next time."""
+        """Number of frames; at each time there is one frame of every agent."""
         total, scenes = self.preset.frames[self.split], self.preset.scenes[self.split]
         return total // scenes + (self.number < total % scenes)
 
     @property
     def duration_s(self) -> float:
-        """How long it lasts."""
+        """Duration of the scene."""
         return -(-self.frames // self.preset.agents) * self.preset.interval_s
 
     @property
     def world_kind(self) -> str:
-        """What kind of place it is."""
+        """Kind of world, of ``WORLDS``."""
         return self.preset.worlds[self._turn(_FOR_WORLD_KIND, _GOLDEN, self.preset.world_weights)]
 
     @property
     def conditions(self) -> str:
-        """Weather and faults."""
+        """Weather and faults, of ``CONDITIONS``."""
         return self.preset.conditions[self._turn(_FOR_CONDITIONS, _SILVER, self.preset.condition_weights)]
 
     @property
     def sensor(self) -> int:
-        """Which of the preset's sensors the moving agents have."""
+        """Index of the moving agents' beam table in the preset's ``sensors``."""
         return self._turn(_FOR_SENSOR, _BRONZE, (1.0,) * len(self.preset.sensors))
 
     def chunks(self) -> Iterator[tuple[int, int]]:
-        """Yield the first frame of each shard and the one after its last: whole times, 48 frames if they fit."""
+        """Yield the first frame of each shard and the one after its last: all agents of a time, up to 48 frames."""
         agents = self.preset.agents
         times = -(-self.frames // agents)
         count = -(-times // max(1, FRAMES_PER_SHARD // agents))
@@ -90,24 +90,24 @@ class ScenePlan:
         yield from ((first, min(last, self.frames)) for first, last in pairwise(ends))
 
     def seed(self, purpose: int, frame: int = 0) -> np.random.SeedSequence:
-        """Return the seed of what is random in one frame (or in the scene) for one purpose."""
+        """Return the seed for one purpose in a frame, or in the scene (frame 0)."""
         time, agent = divmod(frame, self.preset.agents)
         return np.random.SeedSequence([self.preset.seed, self.split, self.number, agent, time, purpose])
 
     def _turn(self, purpose: int, step: float, weights: tuple[float, ...]) -> int:
-        """Return the scene's turn: the multiples of an irrational number fill [0, 1) evenly (Kronecker, Weyl)."""
+        """Return a weighted index for the scene: multiples of an irrational number fill [0, 1) evenly (Kronecker)."""
         at = (_start_of(self.preset.seed, self.split, purpose) + self.number * step) % 1.0 * sum(weights)
         return min(bisect_right(list(accumulate(weights)), at), len(weights) - 1)
 
 
 @lru_cache(maxsize=64)
 def _start_of(seed: int, split: int, purpose: int) -> float:
-    """Return where the turns of a split's scenes begin for one purpose, in [0, 1)."""
+    """Return the start in [0, 1) of a split's Kronecker sequence for one purpose."""
     return float(np.random.SeedSequence([seed, split, 0, 0, 0, purpose]).generate_state(1)[0] / 2**32)
 
 
 def jobs_of(preset: Preset) -> list[ShardJob]:
-    """Return the shards of a data set, in order."""
+    """Return the jobs that build the shards of a data set, in order."""
     return [
         ShardJob(f"{scene.split_name}-{scene.number:04d}-{chunk:03d}.parquet", partial(_samples, scene, first, last))
         for split, scenes in enumerate(preset.scenes)
@@ -121,27 +121,27 @@ def _samples(scene: ScenePlan, first: int, last: int, _: list[str]) -> Iterator[
 
 
 def simulate_frame(scene: ScenePlan, frame: int) -> Sample:
-    """Return one frame of a scene: range image, truth and where it is known."""
-    seen = observe_frame(scene, frame)
-    return Sample(seen.image, seen.truth, seen.known, scene.name, scene.split_name)
+    """Simulate one frame of a scene: range image, truth, and the cells where the truth is known."""
+    observed = observe_frame(scene, frame)
+    return Sample(observed.image, observed.truth, observed.known, scene.name, scene.split_name)
 
 
 def observe_frame(scene: ScenePlan, frame: int) -> Observation:
-    """Return what is observed in one frame of a scene: beside what is stored, what every beam met."""
-    return observe(*_place_of(scene, frame), scene.seed(_FOR_OBSERVATION, frame))
+    """Observe one frame of a scene: the stored sweep, its truth, and the exact hit of every beam."""
+    return observe(*_observer_of(scene, frame), scene.seed(_FOR_OBSERVATION, frame))
 
 
 def scan_frame(scene: ScenePlan, frame: int, world: World | None = None) -> tuple[ExactScan, StoredSweep]:
-    """Return what every beam meets in one frame of a scene, and what the sensor stores, without the frame's truth.
+    """Return the exact hit of every beam in one frame of a scene and the stored sweep, without computing the truth.
 
-    A ``world`` with the same agents takes the place of the scene's own.
+    ``world`` replaces the scene's world; it must have the same agents.
     """
     for_paths, for_noise = scene.seed(_FOR_OBSERVATION, frame).spawn(2)
-    return measure_sweep(*_place_of(scene, frame, world), for_paths, for_noise)
+    return measure_sweep(*_observer_of(scene, frame, world), for_paths, for_noise)
 
 
-def _place_of(scene: ScenePlan, frame: int, world: World | None = None) -> tuple[World, Agent, float, Setting]:
-    """Return who observes in one frame of a scene, when and how."""
+def _observer_of(scene: ScenePlan, frame: int, world: World | None = None) -> tuple[World, Agent, float, Setting]:
+    """Return the world, the observing agent, the time in s and the setting of one frame of a scene."""
     preset, world = scene.preset, world or world_of(scene)
     time, number = divmod(frame, preset.agents)
     setting = Setting(preset.grid, CONDITIONS[scene.conditions], preset.revolution_s)
@@ -161,26 +161,26 @@ def world_of(scene: ScenePlan) -> World:
 def simulate(
     preset: Preset, store: Storage, engine: Engine, on_progress: Callable[[ShardResult], None] | None = None
 ) -> Archive:
-    """Return the archive of a preset, simulated into ``store``; its bytes do not depend on the engine.
+    """Simulate a preset into ``store`` and return the archive; its bytes do not depend on the engine.
 
-    Shards of an earlier run of the same preset that was stopped are kept where they are whole.
+    Intact shards of an interrupted run of the same preset are kept.
 
     Args:
-        preset: what is simulated.
-        store: where it goes.
-        engine: makes the shards.
-        on_progress: is called with each shard that is finished, also of an earlier run.
+        preset: composition of the data set.
+        store: destination.
+        engine: runs the jobs.
+        on_progress: called with each finished shard, including those of an earlier run.
 
     Raises:
-        ValueError: the place holds something else.
-        OSError: a shard could not be made or written; those that are finished stay.
+        ValueError: the destination holds something else.
+        OSError: a shard could not be made or written; finished shards are kept.
     """
     layout = Layout(preset.grid, tuple(sorted(TARGETS)), tuple(sorted(OTHER_DEFINITIONS)))
     return build_archive(recipe_of(preset), layout, jobs_of(preset), store, engine, on_progress)
 
 
 def recipe_of(preset: Preset) -> dict[str, object]:
-    """Return how a simulated data set was made, as plain values."""
+    """Return the recipe of a simulated data set as plain values: command, preset, seed, config and targets."""
     targets = {name: asdict(target) for name, target in TARGETS.items()}
     about = {"command": "simulate", "preset": preset.name, "seed": preset.seed}
     return about | {"config": preset.to_json(), "targets": targets}

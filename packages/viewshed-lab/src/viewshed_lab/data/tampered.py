@@ -1,7 +1,6 @@
-"""Data sets under attack, or corrupted: shard by shard, truth kept, with a record of what was touched.
+"""Attacked or corrupted data sets: made shard by shard, with the source's truth and a record of the changed rows.
 
-A plan says what is done to each sweep, an attack or a corruption by name; the sweeps lie in an archive, a recording or
-files.
+A plan names the attack or corruption of each sweep; the sweeps come from an archive, a recording or files.
 """
 
 from __future__ import annotations
@@ -47,34 +46,34 @@ from viewshed_lab.threats.corruptions import CORRUPTIONS
 ReadFile = Callable[[Path], Iterator[Sweep]]
 
 SceneFrames = Callable[[int], Sample]
-"""Returns a frame of one scene by its number, or raises a ValueError or an OSError; it travels to other processes."""
+"""Returns a frame of one scene by its number, or raises a ValueError or an OSError; it must be picklable."""
 
 
 def _recorded(place: str, kind: str, scene: str, grid: BevGrid, index: int) -> Sample:
-    """Return a sweep of a recording as a frame whose truth is nowhere known."""
+    """Return a sweep of a recording as a sample without known truth."""
     source = opened(place, kind)
     return without_truth(source.read(source.refs(scene)[index]), grid, scene)
 
 
 def _of_file(path: Path, read: ReadFile, grid: BevGrid, index: int) -> Sample:
-    """Return a sweep of a file as a frame whose truth is nowhere known."""
+    """Return a sweep of a file as a sample without known truth."""
     return without_truth(_Cursor(path, read).at(index), grid, path.name)
 
 
 def without_truth(sweep: Sweep, grid: BevGrid, scene: str) -> Sample:
-    """Return a sweep as a sample whose truth is nowhere known."""
+    """Return a sweep as a sample without known truth."""
     return Sample(sweep, Truth(grid, {}, {}), np.zeros(grid.shape, np.bool_), scene)
 
 
 @lru_cache(maxsize=2)
 def opened(place: str, kind: str) -> SweepSource:
-    """Return the recording at a place, opened once in each process; errors as ``open_source``."""
+    """Open the recording at a place, once per process; raises like ``open_source``."""
     return open_source(place, kind)
 
 
 @lru_cache(maxsize=2)
 class _Cursor:
-    """Reads a file forward, and from its start again for a sweep that has passed."""
+    """Reads the sweeps of a file in order, and starts again for an earlier sweep."""
 
     def __init__(self, path: Path, read: ReadFile) -> None:
         self._path, self._read = path, read
@@ -93,10 +92,10 @@ class _Cursor:
 
 
 ReadEarlier = Callable[[], tuple[Sweep, ...]]
-"""Earlier sweeps of the same agent: its first and the one before, () for the first of all."""
+"""Returns earlier sweeps of the same agent: its first and its previous one; () for the first sweep."""
 
 PAPER = "paper"
-_LASTING = EARLIER | {"coherent_phantom"}
+_USES_HISTORY = EARLIER | {"coherent_phantom"}
 _FACTORIES = ATTACKS | INFORMED | ADAPTIVE | WHOLE_CLOUD
 _ROOM_M = 20.0
 
@@ -113,24 +112,24 @@ class AttackPlan:
 
     # a name of ``ATTACKS``, ``INFORMED``, ``WHOLE_CLOUD`` or ``ADAPTIVE``, or ``paper`` for the paper's mixture
     attack: str
-    budget: int | None = None  # most returns; None is the attack's own
-    mode: str | None = None  # ``free_form`` or ``beam_constrained``; None is the attack's own
-    half_extent_m: float = 64.0  # half the side of the victim's grid
-    placement: str | None = None  # one of ``Placement``; None is the attack's own
-    victim: str | None = None  # name of the estimator that an attacker who adapts queries
+    budget: int | None = None  # largest number of returns; None is the attack's default
+    mode: str | None = None  # ``free_form`` or ``beam_constrained``; None is the attack's default
+    half_extent_m: float = 64.0  # half the side length of the victim's grid
+    placement: str | None = None  # of ``Placement``; None is the attack's default
+    victim: str | None = None  # name of the estimator that an adaptive attacker queries
     estimator: FovEstimator | None = None  # that estimator
 
     def __post_init__(self) -> None:
         one_of("attack", self.attack, (*_FACTORIES, PAPER))
-        self._made((Sweep(np.zeros((0, 3), np.float32)),))
+        self._build_attack((Sweep(np.zeros((0, 3), np.float32)),))
 
     def apply(self, sample: Sample, history: ReadEarlier, rng: np.random.Generator) -> Sample:
-        """Return the sample under attack. Before anything was seen, nothing can be replayed: it stays as it is."""
-        earlier = history() if self.attack in _LASTING else ()
+        """Return the attacked sample; an attack that needs earlier sweeps leaves the first sweep unchanged."""
+        earlier = history() if self.attack in _USES_HISTORY else ()
         if not earlier and self.attack in EARLIER:
             none = np.zeros(len(sample.sweep), np.bool_)
             return replace(sample, tampered=Tampered(sample.sweep, none, none), clean=None)
-        return sample.attacked(self._made(earlier or (sample.sweep,)).apply(sample.sweep, rng))
+        return sample.attacked(self._build_attack(earlier or (sample.sweep,)).apply(sample.sweep, rng))
 
     @property
     def name(self) -> str:
@@ -138,23 +137,23 @@ class AttackPlan:
         return self.attack
 
     def config(self) -> dict[str, Any]:
-        """Return all its parameters, as plain values."""
+        """Return all parameters as plain values."""
         return {field.name: getattr(self, field.name) for field in fields(self) if field.name != "estimator"}
 
-    def _made(self, earlier: tuple[Sweep, ...]) -> Attack:
-        chosen = {"mode": self.mode, "placement": self.placement}
-        chosen = {name: value for name, value in chosen.items() if value is not None}
+    def _build_attack(self, earlier: tuple[Sweep, ...]) -> Attack:
+        options = {"mode": self.mode, "placement": self.placement}
+        options = {name: value for name, value in options.items() if value is not None}
         if self.attack == PAPER:
-            if self.budget is not None or chosen:
+            if self.budget is not None or options:
                 raise ValueError("attack paper draws its own points; leave budget, mode and placement out")
             return PAPER_INDOOR_ATTACK if self.half_extent_m <= _ROOM_M else PAPER_ATTACK
         attack: Any = _FACTORIES[self.attack](self.budget, Knowledge(earlier, self.estimator, self.half_extent_m))
-        for name, value in chosen.items():
+        for name, value in options.items():
             if name not in {field.name for field in fields(attack)}:
                 raise ValueError(
                     f"attack {self.attack} must be left in its own {name}, got {value!r}; leave {name} out"
                 )
-        return replace(attack, **chosen)  # type: ignore[no-any-return]
+        return replace(attack, **options)  # type: ignore[no-any-return]
 
 
 @dataclass(frozen=True, slots=True)
@@ -175,7 +174,7 @@ class CorruptionPlan:
         CORRUPTIONS[self.corruption](self.severity)
 
     def apply(self, sample: Sample, history: ReadEarlier, rng: np.random.Generator) -> Sample:
-        """Return the sample with a corrupted sweep; it is unknown which returns moved."""
+        """Return the sample with a corrupted sweep, without a record of the changed returns."""
         return sample.corrupted(CORRUPTIONS[self.corruption](self.severity).apply(sample.sweep, rng))
 
     @property
@@ -184,12 +183,12 @@ class CorruptionPlan:
         return self.corruption
 
     def config(self) -> dict[str, Any]:
-        """Return all its parameters, as plain values."""
+        """Return all parameters as plain values."""
         return asdict(self)
 
 
 TamperPlan = AttackPlan | CorruptionPlan
-"""What is done to a sweep, the same for the same generator; it travels to other processes."""
+"""What is done to a sweep; deterministic for a given generator, and picklable."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -198,8 +197,8 @@ class Part:
 
     name: str  # of the shard's file
     frames: SceneFrames  # of the whole scene
-    scene: str  # its name
-    split: str  # that it belongs to
+    scene: str  # name of the scene
+    split: str  # split of the scene
     number: int  # of the scene in the data set, for seeds
     first: int  # the first frame
     last: int  # the frame after the last
@@ -210,9 +209,9 @@ class Sweeps:
     """A data set of any kind that can be attacked."""
 
     layout: Layout  # of its truth
-    parts: tuple[Part, ...]  # what its shards are
-    lineage: Any  # what it is, as plain values that do not depend on where it lies
-    problems: tuple[str, ...] = ()  # one line for each thing that was found wrong on opening
+    parts: tuple[Part, ...]  # one per shard
+    lineage: Any  # identity of the data, as plain values that do not depend on its location
+    problems: tuple[str, ...] = ()  # one line per problem found on opening
 
     @property
     def count(self) -> int:
@@ -222,15 +221,15 @@ class Sweeps:
 
 def sweeps_of_archive(archive: Archive, split: str | None = None) -> Sweeps:
     """Return the sweeps of an archive, or of one of its splits; a sweep has the same seed in both."""
-    wanted = {shard.name for shard in (archive if split is None else archive.split(split)).shards}
+    selected = {shard.name for shard in (archive if split is None else archive.split(split)).shards}
     parts = []
     for number, scene in enumerate(archive.scenes):
-        # Jobs travel to other processes, with no more of the manifest than they need.
+        # Jobs are pickled, so they hold only the part of the manifest that they need.
         shards = tuple(shard for shard in archive.shards if shard.scene == scene)
         frames = Archive(archive.store, replace(archive.manifest, shards=shards)).__getitem__
         first = 0
         for shard in shards:
-            if shard.name in wanted:
+            if shard.name in selected:
                 last = first + shard.frames
                 parts.append(Part(shard.name, frames, scene, shard.split, number, first, last))
             first += shard.frames
@@ -240,7 +239,7 @@ def sweeps_of_archive(archive: Archive, split: str | None = None) -> Sweeps:
 
 
 def sweeps_of_recording(place: str, grid: BevGrid, kind: str = "auto") -> Sweeps:
-    """Return the sweeps of a recording, which has no truth: it is nowhere known; errors as ``open_source``."""
+    """Return the sweeps of a recording, without known truth; raises like ``open_source``."""
     source = opened(place, kind)
     parts: list[Part] = []
     listing, problems = [], list(source.damage())
@@ -256,12 +255,12 @@ def sweeps_of_recording(place: str, grid: BevGrid, kind: str = "auto") -> Sweeps
 
 
 def sweeps_of_files(files: Sequence[Path], read: ReadFile, grid: BevGrid) -> Sweeps:
-    """Return the sweeps of files, each a scene of its own; they have no truth.
+    """Return the sweeps of files, one scene per file, without known truth.
 
     Args:
         files: of any format.
-        read: yields the sweeps of one; it travels to other processes.
-        grid: of the truth that is not there.
+        read: yields the sweeps of one file; it must be picklable.
+        grid: of the empty truth.
     """
     parts: list[Part] = []
     listing, problems = [], []
@@ -289,22 +288,22 @@ def tamper(
     seed: int = 0,
     on_progress: Callable[[ShardResult], None] | None = None,
 ) -> Archive:
-    """Return the archive of attacked (or corrupted) sweeps, made into ``store``; its bytes do not depend on the engine.
+    """Attack or corrupt sweeps into ``store`` and return the archive; its bytes do not depend on the engine.
 
-    Truth, known, scene and split are those of the source. The random numbers of a sweep follow from ``seed``, the
-    number of its scene and its number there. A run that was stopped goes on where it was.
+    Truth, known, scene and split are those of the source. The random numbers of a sweep depend only on ``seed``, the
+    number of its scene and its number in the scene. An interrupted run resumes.
 
     Args:
         sweeps: from :func:`sweeps_of_archive`, :func:`sweeps_of_recording` or :func:`sweeps_of_files`.
-        plan: what is done to each.
-        store: where the archive goes.
-        engine: makes the shards.
-        seed: of all that is random.
-        on_progress: is called with each shard that is done, and of the sweeps that had to be left out.
+        plan: attack or corruption of each sweep.
+        store: destination.
+        engine: runs the jobs.
+        seed: of all random numbers.
+        on_progress: called with each finished shard and the problems of the sweeps that were left out.
 
     Raises:
-        ValueError: the place holds something else, or the seed is negative.
-        OSError: a shard could not be made or written; those that are finished stay.
+        ValueError: the destination holds something else, or the seed is negative.
+        OSError: a shard could not be made or written; finished shards are kept.
     """
     if seed < 0:
         raise ValueError(f"seed must not be negative, got {seed}")
@@ -315,12 +314,12 @@ def tamper(
 
 
 def tampered_sweep(sweeps: Sweeps, plan: TamperPlan, seed: int = 0) -> tuple[Sweep, str]:
-    """Return the first of some sweeps, attacked or corrupted, and what was done to it as JSON.
+    """Attack or corrupt the first sweep; return it, and a record of the changes as JSON.
 
-    The rows added are those of the new sweep, the rows removed those of the old one.
+    Added rows index the new sweep, removed rows the old one.
 
     Raises:
-        ValueError: it cannot be done to this sweep.
+        ValueError: the plan is not possible on this sweep.
         OSError: the sweep cannot be read.
     """
     frame = _tampered_sample(sweeps.parts[0], plan, seed, 0, _EarlierSweeps(sweeps.parts[0]))
@@ -334,9 +333,9 @@ def tampered_sweep(sweeps: Sweeps, plan: TamperPlan, seed: int = 0) -> tuple[Swe
 
 
 def _tampered_samples(part: Part, plan: TamperPlan, seed: int, problems: list[str]) -> Iterator[Sample]:
-    """Yield the changed samples of a part; those that cannot be used are left out.
+    """Yield the tampered samples of a part; leave unusable sweeps out and report them in ``problems``.
 
-    A file that is not there is damage of a sweep; a source that cannot be read now ends the job with an OSError.
+    A missing file counts as an unusable sweep; any other OSError of the source ends the job.
     """
     earlier, lost = _EarlierSweeps(part), list[tuple[int, str]]()
     for index in range(part.first, part.last):
@@ -344,7 +343,7 @@ def _tampered_samples(part: Part, plan: TamperPlan, seed: int, problems: list[st
             yield _tampered_sample(part, plan, seed, index, earlier)
         except (ValueError, FileNotFoundError) as error:
             lost.append((index, " ".join(str(error).split())))
-    # One line for each run of sweeps with one problem.
+    # One line per run of sweeps with the same problem.
     for message, group in groupby(lost, lambda problem: problem[1]):
         numbers = [index for index, _ in group]
         which = f"sweep {numbers[0]}" if len(numbers) == 1 else f"{len(numbers)} sweeps from {numbers[0]} on"
@@ -355,13 +354,13 @@ def _tampered_sample(part: Part, plan: TamperPlan, seed: int, index: int, earlie
     rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, part.number, index])))
     frame = part.frames(index)
     sweep = frame.sweep
-    done = plan.apply(frame, lambda: earlier.of(sweep, index), rng)
+    tampered = plan.apply(frame, lambda: earlier.of(sweep, index), rng)
     earlier.note(sweep)
-    return done
+    return tampered
 
 
 class _EarlierSweeps:
-    """The first sweep of each agent of a scene and the last before a frame; remembers what has passed."""
+    """Caches each agent's first sweep in a scene, and its last sweep before the current frame."""
 
     def __init__(self, part: Part) -> None:
         self._part = part
@@ -384,7 +383,7 @@ class _EarlierSweeps:
         return self._first[agent], self._last[agent]
 
     def _first_of(self, agent: str, indices: Iterable[int]) -> Sweep | None:
-        """Return the first sweep of an agent among some frames; those that cannot be read are passed over."""
+        """Return the first sweep of an agent among some frames, skipping unreadable ones."""
         for index in indices:
             try:
                 frame = self._part.frames(index)

@@ -1,8 +1,8 @@
-"""Samples in the wild: worlds of many styles, sensors and mountings drawn at random, in sets that share none of them.
+"""Wild samples: many kinds of world, with random sensors and mountings, in sets that share none of them.
 
-Everything random in a sample follows from its set's seed and its number, so that samples can be made in any order. The
-``sealed`` set is for final tables alone: it opens only for one who gives :data:`OPEN_SEALED`, and each opening is to be
-logged (:mod:`viewshed_lab.studies.wild.openings`). An archive of a set has a shard for each scene.
+All random numbers of a sample depend only on its set's seed and its number, so samples can be made in any order. The
+``sealed`` set is for final tables only: opening it requires :data:`OPEN_SEALED`, and every opening must be logged
+(:mod:`viewshed_lab.studies.wild.openings`). An archive of a set has one shard per scene.
 """
 
 from __future__ import annotations
@@ -40,17 +40,17 @@ from viewshed_lab.sim.world import Agent, AgentPlan, World
 from viewshed_lab.sim.worlds import WORLDS
 
 SETS = ("own", "training", "learning", "development", "sealed")
-"""``own``: worlds and sensors of the presets, as a yardstick; ``training``, ``development`` and ``sealed`` share no
-style, sensor or mounting. ``learning``: land drawn without styles, with sensors and mountings of ``training``."""
+"""``own``: worlds and sensors of the presets, for comparison. ``training``, ``development`` and ``sealed`` share no
+style, sensor or mounting. ``learning``: random land without styles, with sensors and mountings of ``training``."""
 
 SEALED = "sealed"
 
 OPEN_SEALED = "I open the sealed set for a final table, and log it"
-"""What one must say to get samples of the sealed set."""
+"""Required argument to get samples of the sealed set."""
 
 GIVEN = ("table", "rings", "nothing")
-"""What a sweep says beside its points. ``table``: ring, time and intensity, the maker's beam table, height and attitude
-where the points lie in the sensor's frame. ``rings``: ring, time and intensity. ``nothing``: no more than points."""
+"""What a sweep provides besides its points. ``table``: ring, time, intensity and the manufacturer's beam table; height
+and attitude if the points are in the sensor's frame. ``rings``: ring, time and intensity. ``nothing``: points only."""
 
 _SWEEPS_APART_S = 3.0
 _REVOLUTION_S = 0.1
@@ -62,21 +62,21 @@ _FOR_WORLD, _FOR_SENSOR, _FOR_MOUNTING, _FOR_OBSERVATION, _FOR_DELIVERY, _FOR_CO
 
 @dataclass(frozen=True, slots=True)
 class WildDomain:
-    """One part of a set: its road scenes, or its indoor scenes.
+    """The road scenes or the indoor scenes of a set.
 
     Raises:
-        ValueError: a name is not known, or a number is out of range.
+        ValueError: a name is unknown, or a number is out of range.
     """
 
     set_name: str  # of ``SETS``
-    name: str  # ``road`` or ``indoor``, which is also the name of its grid
-    styles: tuple[str, ...]  # kinds of world, of ``WORLDS``; the scenes take them in turn
-    sensors: tuple[str, ...]  # names of sensor families, or of beam tables; taken in turn
-    mountings: tuple[str, ...]  # names of mounting families; taken in turn
-    conditions: tuple[str, ...]  # weather and faults, of ``CONDITIONS``; one for each scene
-    scenes: int  # how many
-    sweeps: int  # of each scene, 3 s apart
-    seed: int  # of everything random
+    name: str  # ``road`` or ``indoor``, also the name of its grid
+    styles: tuple[str, ...]  # kinds of world, of ``WORLDS``; used in turn over the scenes
+    sensors: tuple[str, ...]  # names of sensor families or beam tables; used in turn
+    mountings: tuple[str, ...]  # names of mounting families; used in turn
+    conditions: tuple[str, ...]  # weather and faults, of ``CONDITIONS``; one per scene
+    scenes: int  # number of scenes
+    sweeps: int  # sweeps per scene, 3 s apart
+    seed: int  # of all random numbers
 
     def __post_init__(self) -> None:
         if self.set_name not in SETS or self.name not in GRIDS:
@@ -91,13 +91,13 @@ class WildDomain:
 
     @property
     def grid(self) -> BevGrid:
-        """Its grid."""
+        """The grid of the domain."""
         return GRIDS[self.name]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WildTables:
-    """The whole TOML: families by name, and the domains of each set."""
+    """Content of the TOML table: families by name, and the domains of all sets."""
 
     sensors: Mapping[str, SensorFamily]
     mountings: Mapping[str, MountingFamily]
@@ -107,7 +107,7 @@ class WildTables:
         """Return the domains of a set.
 
         Raises:
-            ValueError: there is none of that name.
+            ValueError: there is no such set.
         """
         one_of("set", name, SETS)
         return tuple(domain for domain in self.domains if domain.set_name == name)
@@ -115,10 +115,10 @@ class WildTables:
 
 @lru_cache(maxsize=1)
 def wild_tables() -> WildTables:
-    """Return the sets and families of the package.
+    """Return the sets and families that the package ships.
 
     Raises:
-        ValueError: the table is wrong: a value, or a style, sensor or mounting that two sets share.
+        ValueError: a value is wrong, or two sets share a style, sensor or mounting.
     """
     table = tomllib.loads(resources.files("viewshed_lab").joinpath(_TABLE).read_text(encoding="utf-8"))
     sensors = {name: SensorFamily(**flat.from_dict(SensorFamily, {"name": name} | one, "sensor family"))
@@ -144,7 +144,7 @@ def check_apart(domains: tuple[WildDomain, ...]) -> None:
     """Check that training, development and sealed share no style, sensor, mounting or seed.
 
     Raises:
-        ValueError: two of them do; the message says what.
+        ValueError: two sets share a value; the message names it.
     """
     owners: dict[tuple[str, object], str] = {}
     for domain in domains:
@@ -164,106 +164,107 @@ def check_apart(domains: tuple[WildDomain, ...]) -> None:
 class WildScene:
     """One scene of a domain."""
 
-    domain: WildDomain  # that it is of
-    number: int  # its number there
+    domain: WildDomain
+    number: int  # in the domain, from 0
 
     @property
     def name(self) -> str:
-        """Set, grid, number and style."""
+        """Name in the archive: set, grid, number and style."""
         return f"{self.domain.set_name}-{self.domain.name}-{self.number:03d}-{self.style}"
 
     @property
     def style(self) -> str:
-        """Kind of its world."""
+        """Kind of world, of ``WORLDS``."""
         return self.domain.styles[self.number % len(self.domain.styles)]
 
     @property
     def sensor(self) -> str:
-        """Family, or beam table, of its sensor."""
+        """Sensor family, or beam table."""
         return self._turn(self.domain.sensors, 1)
 
     @property
     def mounting(self) -> str:
-        """Family of its mounting."""
+        """Mounting family."""
         return self._turn(self.domain.mountings, 2)
 
     def _turn(self, names: tuple[str, ...], step: int) -> str:
-        """Return one of the names: from one scene of a style to the next, its turn moves on by one."""
+        """Return one of the names; it advances by one from a scene of a style to the next scene of that style."""
         round_number, style = divmod(self.number, len(self.domain.styles))
         return names[(style * step + round_number) % len(names)]
 
     def rng(self, purpose: int, sweep: int = 0) -> np.random.Generator:
-        """Return the generator of what is random for one purpose."""
+        """Return the random generator for one purpose."""
         return np.random.Generator(np.random.PCG64(self.seed(purpose, sweep)))
 
     def seed(self, purpose: int, sweep: int = 0) -> np.random.SeedSequence:
-        """Return its seed."""
+        """Return the seed for one purpose, in the scene or in one of its sweeps."""
         return np.random.SeedSequence([self.domain.seed, self.number, sweep, purpose])
 
     @property
     def conditions(self) -> str:
-        """Weather and faults."""
+        """Weather and faults, of ``CONDITIONS``."""
         return str(self.rng(_FOR_CONDITIONS).choice(self.domain.conditions))
 
     def drawn_mounting(self) -> Mounting:
-        """Return its mounting."""
+        """Return the mounting, sampled from its family."""
         return draw_mounting(wild_tables().mountings[self.mounting], self.rng(_FOR_MOUNTING))
 
     def drawn_sensor(self, sweep: int = 0) -> DrawnSensor:
-        """Return its sensor, as it fires one of its sweeps."""
+        """Return the sensor as it fires in sweep ``sweep``, sampled from its family."""
         families = wild_tables().sensors
         if self.sensor not in families:
             return DrawnSensor.of_table(self.sensor)
         return draw_sensor(families[self.sensor], self.rng(_FOR_SENSOR), sweep)
 
     def observe(self, sweep: int) -> WildObservation:
-        """Return one of its sweeps with all that the simulator knows of it."""
+        """Simulate one sweep, with its truth and the exact ground."""
         mounting, sensor = self.drawn_mounting(), self.drawn_sensor(sweep)
         world, agent = _mounted_world(self)
-        # The truth's grid lies about the origin of the points, which need not be the sensor.
-        away = np.asarray(mounting.origin_m(agent)) - agent.mount.translation
-        own = self.domain.grid
-        grid = replace(own, offset_m=(float(away[0]), float(away[1]))) if away.any() else own
+        # The truth's grid is centered at the origin of the points, which need not be the sensor.
+        origin_from_sensor = np.asarray(mounting.origin_m(agent)) - agent.mount.translation
+        grid = self.domain.grid
+        if origin_from_sensor.any():
+            grid = replace(grid, offset_m=(float(origin_from_sensor[0]), float(origin_from_sensor[1])))
         setting = Setting(grid, CONDITIONS[self.conditions], _REVOLUTION_S)
         seed, t_s = self.seed(_FOR_OBSERVATION, sweep), (sweep + 0.5) * _SWEEPS_APART_S
-        seen = observe(world, agent, t_s, setting, seed, sensor.model)
-        # The exact ground, first from the sensor's height, then from the ground below the origin of the points.
-        centers, pose, terrain = grid.centers, seen.scan.world_from_sensor, world.ground_of(agent)
+        observed = observe(world, agent, t_s, setting, seed, sensor.model)
+        # The exact ground, above the sensor; then the ground below the origin of the points.
+        centers, pose, terrain = grid.centers, observed.scan.world_from_sensor, world.ground_of(agent)
         ground = terrain.about(pose, centers[:, 0, 0].copy(), centers[0, :, 1].copy())[0]
         below = terrain.about(pose, np.array([grid.offset_m[0]]), np.array([grid.offset_m[1]]))[0][0, 0]
         world_from_carrier = pose.rotation @ agent.mount.rotation.T
-        height_m = float((world_from_carrier @ away)[2] - below)
-        # The sweep as it is handed out, in the frame in which it is given.
-        delivered = sensor.deliver(seen.image.sweep(), self.rng(_FOR_DELIVERY, sweep))
-        turn = pose.rotation if mounting.family.frame == "sensor" else world_from_carrier
-        truth = Truth(own, seen.truth.expected_returns, seen.truth.state)
+        height_m = float((world_from_carrier @ origin_from_sensor)[2] - below)
+        # The delivered sweep, in the frame of its points.
+        delivered = sensor.deliver(observed.image.sweep(), self.rng(_FOR_DELIVERY, sweep))
+        world_from_points = pose.rotation if mounting.family.frame == "sensor" else world_from_carrier
+        truth = Truth(self.domain.grid, observed.truth.expected_returns, observed.truth.state)
         return WildObservation(
-            self, sweep, mounting.given(delivered, agent), truth, seen.known, ground - below, height_m,
-            attitude_of(turn), sensor, mounting, seen.scan, world, agent,
+            self, sweep, mounting.given(delivered, agent), truth, observed.known, ground - below, height_m,
+            attitude_of(world_from_points), sensor, mounting, observed.scan, world, agent,
         )  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WildObservation:
-    """One sweep and all that the simulator knows of it."""
+    """One sweep and everything that the simulator knows about it."""
 
-    scene: WildScene  # that it is of
+    scene: WildScene
     number: int  # of the sweep in its scene
-    delivered: Sweep  # the sweep, with all that is known of it
-    truth: Truth  # what the sensor could have seen, on the domain's grid about the origin of the points
-    known: NDArray[np.bool_]  # (cells, cells) bool, where that is known
-    # (cells, cells) float32 exact height of the ground at the cells' centers above that below the origin
+    delivered: Sweep  # the sweep with all its columns
+    truth: Truth  # what the sensor could have seen, on the domain's grid around the origin of the points
+    known: NDArray[np.bool_]  # (cells, cells) bool, where the truth is known
+    # (cells, cells) float32 exact ground height at the cell centers, above the ground below the origin of the points
     ground_m: NDArray[np.float32]
     origin_height_m: float  # exact height of the origin of the points above the ground below it
     attitude: NDArray[np.float64]  # exact quaternion (w, x, y, z) of the frame of the points
-    sensor: DrawnSensor  # as drawn
-    mounting: Mounting  # as drawn
-    scan: ExactScan  # what every beam met
-    world: World  # where
-    agent: Agent  # who measured
+    sensor: DrawnSensor
+    mounting: Mounting
+    scan: ExactScan  # exact hit of every beam
+    world: World
+    agent: Agent  # with the sensor
 
     def given(self, given: str) -> Sweep:
-        """Return the sweep that says no more than ``given``.
+        """Return the sweep with only the information that ``given`` allows.
 
         Raises:
             ValueError: ``given`` is not of ``GIVEN``.
@@ -279,7 +280,7 @@ class WildObservation:
         return sweep.replace(sensor_height_m=self.origin_height_m, attitude=self.attitude)
 
     def sample(self, given: str) -> WildSample:
-        """Return the sample that says no more than ``given``."""
+        """Return the sample whose sweep has only the information that ``given`` allows."""
         return WildSample(
             self.given(given), self.truth, self.known, self.ground_m, self.origin_height_m, self.attitude,
             self.scene.style, self.scene.sensor, self.scene.mounting, given, self.scene.name,
@@ -288,25 +289,25 @@ class WildObservation:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WildSample:
-    """One sweep with its exact truth and its exact ground."""
+    """One sweep with its exact truth and exact ground."""
 
-    sweep: Sweep  # what an estimator is given
-    truth: Truth  # what the sensor could have seen, about the origin of the points
+    sweep: Sweep  # input of an estimator
+    truth: Truth  # what the sensor could have seen, around the origin of the points
     known: NDArray[np.bool_]  # (cells, cells) bool, where the truth is known
-    # (cells, cells) float32 exact height of the ground at the cells' centers above that below the origin of the points;
-    # so z of the ``level`` frame
+    # (cells, cells) float32 exact ground height at the cell centers, above the ground below the origin of the points:
+    # z of the ``level`` frame
     ground_m: NDArray[np.float32]
     origin_height_m: float  # exact height of that origin above the ground below it
     attitude: NDArray[np.float64]  # exact quaternion (w, x, y, z) of the frame of the points
     style: str  # kind of world
-    sensor: str  # family, or beam table
-    mounting: str  # family
+    sensor: str  # sensor family, or beam table
+    mounting: str  # mounting family
     given: str  # of ``GIVEN``
-    scene: str  # its name; splits never cut through a scene
+    scene: str  # name of the scene; a scene is in one split only
 
     @property
     def exact_ground(self) -> HeightMap:
-        """The exact ground on the lattice that estimators use."""
+        """The exact ground on the height map of the estimators."""
         grid = self.truth.grid
         every = grid.cells // NODES
         blocks = self.ground_m.reshape(NODES, every, NODES, every)
@@ -320,7 +321,7 @@ def wild_scenes(set_name: str, domain: str | None = None, *, unseal: str = "") -
 
     Args:
         set_name: of ``SETS``.
-        domain: ``road`` or ``indoor``; both if left out.
+        domain: ``road`` or ``indoor``; None is both.
         unseal: :data:`OPEN_SEALED` opens the sealed set.
 
     Raises:
@@ -344,13 +345,13 @@ def wild_samples(
     count: int | None = None,
     unseal: str = "",
 ) -> Iterator[WildSample]:
-    """Yield the samples of a set, scene after scene, each sweep once for each of ``given``.
+    """Yield the samples of a set, scene by scene, one sample per sweep and entry of ``given``.
 
     Args:
         set_name: of ``SETS``.
-        domain: ``road`` or ``indoor``; both if left out.
+        domain: ``road`` or ``indoor``; None is both.
         given: of ``GIVEN``.
-        count: at most this number of sweeps, the first ones.
+        count: limits the sweeps to the first ones; None is all.
         unseal: as for :func:`wild_scenes`.
 
     Raises:
@@ -359,13 +360,13 @@ def wild_samples(
     scenes = wild_scenes(set_name, domain, unseal=unseal)
     sweeps = [(scene, sweep) for scene in scenes for sweep in range(scene.domain.sweeps)]
     for scene, sweep in sweeps[:count]:
-        seen = scene.observe(sweep)
-        yield from (seen.sample(one) for one in given)
+        observation = scene.observe(sweep)
+        yield from (observation.sample(one) for one in given)
 
 
 @lru_cache(maxsize=2)
 def _mounted_world(scene: WildScene) -> tuple[World, Agent]:
-    """Return the world of a scene, and its one agent with the sensor mounted."""
+    """Return the world of a scene, and its only agent with the sensor mounted."""
     mounting = scene.drawn_mounting()
     plan = AgentPlan(
         moving=1, sensor_height_m=mounting.height_m, duration_s=scene.domain.sweeps * _SWEEPS_APART_S
@@ -377,11 +378,17 @@ def _samples(scene: WildScene, given: tuple[str, ...], _: list[str]) -> Iterator
     split = split_of_set(scene.domain.set_name)
     for sweep in range(scene.domain.sweeps):
         seen = scene.observe(sweep)
-        yield Sample(seen.given(given[(scene.number + sweep) % len(given)]), seen.truth, seen.known, scene.name, split)
+        yield Sample(
+            seen.given(given[(scene.number + sweep) % len(given)]),
+            seen.truth,
+            seen.known,
+            scene.name,
+            split,
+        )
 
 
 def split_of_set(set_name: str) -> str:
-    """Return the split of a set's samples: ``train`` for the training set, as in every archive, else its own name."""
+    """Return the split of a set's samples: ``train`` for the training set, as in every archive, else the set's name."""
     return "train" if set_name == "training" else set_name
 
 
@@ -395,33 +402,33 @@ def make_wild_archive(
     scenes: int | None = None,
     on_progress: Callable[[ShardResult], None] | None = None,
 ) -> Archive:
-    """Return the archive of one domain of a set, made into ``store``; its bytes do not depend on the engine.
+    """Simulate one domain of a set into ``store`` and return the archive; its bytes do not depend on the engine.
 
-    Shards of an earlier run of the same set that was stopped are kept where they are whole. The sealed set has no
-    archive: it is run by its study alone.
+    Intact shards of an interrupted run of the same set are kept. The sealed set has no archive: only its study
+    simulates it.
 
     Args:
-        set_name: of ``datasets.wild.SETS`` but ``sealed``.
+        set_name: of ``SETS``, except ``sealed``.
         domain: ``road`` or ``indoor``.
-        store: where it goes.
-        engine: makes the shards.
-        given: of ``GIVEN``: what the sweeps say beside their points, in turn.
-        scenes: at most this number of scenes, the first ones.
-        on_progress: is called with each shard that is finished, also of an earlier run.
+        store: destination.
+        engine: runs the jobs.
+        given: of ``GIVEN``: what the sweeps provide besides their points, used in turn.
+        scenes: limits the scenes to the first ones; None is all.
+        on_progress: called with each finished shard, including those of an earlier run.
 
     Raises:
-        ValueError: a name is unknown, the set is sealed or has no such domain, or the place holds something else.
-        OSError: a shard could not be made or written; those that are finished stay.
+        ValueError: a name is unknown, the set is sealed or has no such domain, or the destination holds something else.
+        OSError: a shard could not be made or written; finished shards are kept.
     """
     if not given or not set(given) <= set(GIVEN):
         raise ValueError(f"given must be one or more of {', '.join(GIVEN)}, got {', '.join(given) or 'none'}")
     chosen = wild_scenes(set_name, domain)[:scenes]
     if not chosen:
         raise ValueError(f"{set_name} must have a domain {domain!r}, got none; choose road or indoor")
-    one = chosen[0].domain
-    about = {"command": "dataset wild", "set": set_name, "domain": domain, "seed": one.seed}
-    config = flat.to_dict(one) | {"told": list(given), "scenes": len(chosen)}
+    wild_domain = chosen[0].domain
+    about = {"command": "dataset wild", "set": set_name, "domain": domain, "seed": wild_domain.seed}
+    config = flat.to_dict(wild_domain) | {"told": list(given), "scenes": len(chosen)}
     recipe = about | {"config": config, "targets": {name: asdict(target) for name, target in TARGETS.items()}}
     jobs = [ShardJob(f"{scene.name}.parquet", partial(_samples, scene, given)) for scene in chosen]
-    layout = Layout(one.grid, tuple(sorted(TARGETS)), ())
+    layout = Layout(wild_domain.grid, tuple(sorted(TARGETS)), ())
     return build_archive(recipe, layout, jobs, store, engine, on_progress)

@@ -1,6 +1,6 @@
-"""Networks of the published study, in bytes, with their checksums; viewshed finds them by their names."""
+"""Int8 networks of the published study, with checksums; viewshed loads them by name."""
 
 from pathlib import Path
 
 WEIGHTS = Path(__file__).parent
-"""Folder of the networks; ``tools/ship_study.py`` writes it."""
+"""Folder of the network files; ``tools/ship_study.py`` writes them."""

@@ -1,4 +1,4 @@
-"""The simulator: worlds from a seed, what every beam meets in them, and what could have been seen."""
+"""Simulator: random worlds, exact ray casting, LiDAR measurement, and exact visibility truth."""
 
 from __future__ import annotations
 

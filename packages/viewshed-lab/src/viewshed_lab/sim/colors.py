@@ -1,4 +1,4 @@
-"""Colors of what pictures of a world show, and what of a building they leave out."""
+"""Colors for pictures of a world, and removal of ceilings."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from viewshed_lab.sim.world import Snapshot, World
 Image = NDArray[np.uint8]
 
 CEILING_M = 2.0
-"""Indoors, things that begin higher than this above the ground are left out of pictures."""
+"""Indoors, pictures omit things that begin higher than this above the ground."""
 
 _MATERIAL_COLORS = {
     "asphalt": (0.40, 0.41, 0.43), "concrete": (0.70, 0.69, 0.66), "plaster": (0.87, 0.82, 0.72),
@@ -31,20 +31,17 @@ _CAR_COLORS = ((0.80, 0.16, 0.16), (0.16, 0.34, 0.72), (0.92, 0.92, 0.90), (0.20
 
 
 def without_ceiling(world: World, snapshot: Snapshot) -> Snapshot:
-    """Return the solids of a building without its ceiling and what hangs; outdoors all.
-
-    Things that begin higher than ``CEILING_M`` above the ground are left out, and ceilings.
-    """
+    """Return the solids without a building's ceilings and the things in it that begin above ``CEILING_M``."""
     bottoms = np.array([min(part.bottom_m for part in thing.parts) for thing in world.things])
-    roofs = np.array([thing.kind == "ceiling" for thing in world.things], np.bool_)
-    above = ((bottoms >= CEILING_M) | roofs) & world.indoor
+    ceilings = np.array([thing.kind == "ceiling" for thing in world.things], np.bool_)
+    above = ((bottoms >= CEILING_M) | ceilings) & world.indoor
     kept = ~above[snapshot.thing]
     arrays = ("kind", "center_m", "rotation", "half_m", "velocity_mps", "material", "thing")
     return replace(snapshot, **{name: getattr(snapshot, name)[kept] for name in arrays})
 
 
 def surface_colors(world: World, thing: NDArray[np.int32], material: NDArray[np.uint8]) -> F32:
-    """Return colors (…, 3) in [0, 1] of what was met: by material, painted vehicles each in one of six colors.
+    """Return colors (…, 3) in [0, 1] of hit surfaces: by material; painted vehicles have one of six colors.
 
     >>> from viewshed_lab.sim.terrain import Terrain
     >>> empty = World("empty", Terrain.plane(9.0))
@@ -60,5 +57,5 @@ def surface_colors(world: World, thing: NDArray[np.int32], material: NDArray[np.
 
 
 def to_bytes(colors: F32 | NDArray[np.float64]) -> Image:
-    """Return colors in [0, 1] as uint8 in steps of two: a smaller file, no visible difference."""
+    """Return colors in [0, 1] as uint8 in steps of two, which gives smaller files without a visible difference."""
     return np.asarray((colors * 127).round() * 2, np.uint8)

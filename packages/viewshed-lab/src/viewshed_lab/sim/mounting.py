@@ -1,4 +1,4 @@
-"""How a sensor sits on its carrier: anywhere, turned, tilted, low or tall, and in which frame its points are given."""
+"""Sensor mountings: position and rotation on the carrier, and the frame in which points are given."""
 
 from __future__ import annotations
 
@@ -14,35 +14,35 @@ from viewshed_lab.sim.assets.shapes import Box
 from viewshed_lab.sim.world import Agent, Thing, World, tilted
 
 FRAMES = ("sensor", "base_shifted_back", "base")
-"""In which frame points are given: the ``sensor``'s; the carrier's axes with the origin at the sensor (its offset is
-known and was taken off); or the carrier's ``base``, whose offset from the sensor is not given."""
+"""Frame of the points: the ``sensor``'s; the carrier's axes with the origin at the sensor (the known offset was
+subtracted); or the carrier's ``base``, whose offset from the sensor is unknown."""
 
 _AXLE_M = (-1.35, 0.32)
-"""x and z of the rear axle in the frame of a car, and so of the base frame; a robot's is below its middle."""
+"""x and z of the rear axle in the frame of a car, which is the base frame; a robot's base is below its center."""
 
 _ROBOT_M = 1.35
 """Carriers of sensors below this height are robots."""
 
 _LIP_M = 0.09
-"""A sensor at the roof's edge stands this far above the roof."""
+"""Height of a sensor at the roof's edge above the roof."""
 
 
 @dataclass(frozen=True, slots=True)
 class MountingFamily:
-    """Bounds within which mountings are drawn, uniformly; signs of angles are drawn as well.
+    """Bounds from which mountings are sampled uniformly; yaw, roll and ``left_m`` get random signs.
 
     Raises:
-        ValueError: a name is unknown, bounds do not ascend, or a turned sensor is to have a base frame.
+        ValueError: a name is unknown, bounds do not ascend, or the sensor has a yaw but its frame is not ``sensor``.
     """
 
     name: str  # of the family
     height_m: tuple[float, float]  # of the sensor above the ground below the carrier
-    yaw_deg: tuple[float, float]  # angle of its turn to the left or right
-    pitch_deg: tuple[float, float]  # angle of its tilt down; negative is up
-    roll_deg: tuple[float, float]  # angle of its roll to the left or right
-    forward_m: tuple[float, float]  # of the sensor from where the world's maker puts it
-    left_m: tuple[float, float]  # to the left or right of there
-    # whether the carrier's flat roof lies just below the sensor and ends a little before it and beside it, so that the
+    yaw_deg: tuple[float, float]  # to the left or right
+    pitch_deg: tuple[float, float]  # down; negative is up
+    roll_deg: tuple[float, float]  # to the left or right
+    forward_m: tuple[float, float]  # from the sensor position of the generated world
+    left_m: tuple[float, float]  # to the left or right of that position
+    # whether the carrier has a flat roof just below the sensor that ends shortly before and beside it, so that the
     # sensor sees much of its carrier
     roof_edge: bool
     frame: str  # of ``FRAMES``
@@ -63,12 +63,12 @@ class MountingFamily:
 class Mounting:
     """One mounting."""
 
-    family: MountingFamily  # that it was drawn from
+    family: MountingFamily
     height_m: float  # of the sensor above the ground below the carrier
     yaw: float  # radians to the left
     pitch: float  # radians down
     roll: float  # radians
-    forward_m: float  # from where the world's maker puts it
+    forward_m: float  # from the sensor position of the generated world
     left_m: float  # as ``forward_m``
 
     @property
@@ -77,11 +77,11 @@ class Mounting:
         return tilted(self.yaw, self.pitch, self.roll)
 
     def mounted(self, world: World, number: int) -> tuple[World, Agent]:
-        """Return the world with one agent, its sensor mounted so, and that agent.
+        """Mount an agent's sensor; return the world with only that agent, and the agent.
 
         Args:
             world: made for a sensor at :attr:`height_m`.
-            number: of the agent.
+            number: index of the agent.
 
         Raises:
             ValueError: the agent has no carrier.
@@ -97,26 +97,26 @@ class Mounting:
         return replace(world, things=tuple(things), agents=(moved,)), moved
 
     def _under(self, carrier: Thing, at: NDArray[np.float64]) -> Thing:
-        """Return the carrier with a flat roof just below the sensor that ends a little before it and beside it."""
+        """Return the carrier with a flat roof just below the sensor that ends shortly before and beside it."""
         robot, roof = self.height_m < _ROBOT_M, self.height_m - _LIP_M
-        length, least_width, edge = (0.75, 0.5, 0.05) if robot else (4.6, 1.85, 0.15)
-        width, middle = max(least_width, 2 * (abs(at[1]) + edge)), at[0] + edge - length / 2
-        body = Box(middle, 0.0, length, width, roof, 0.15 * roof, 0.0, "paint")
+        length, min_width, edge = (0.75, 0.5, 0.05) if robot else (4.6, 1.85, 0.15)
+        width, center = max(min_width, 2 * (abs(at[1]) + edge)), at[0] + edge - length / 2
+        body = Box(center, 0.0, length, width, roof, 0.15 * roof, 0.0, "paint")
         wheels = tuple(
-            Box(middle + x, 0.0, 0.16 * length, width - 0.04, 0.15 * roof + 0.05, 0.0, 0.0, "rubber")
+            Box(center + x, 0.0, 0.16 * length, width - 0.04, 0.15 * roof + 0.05, 0.0, 0.0, "rubber")
             for x in (0.3 * length, -0.3 * length)
         )
         return replace(carrier, parts=(body, *wheels))
 
     def origin_m(self, agent: Agent) -> tuple[float, float, float]:
-        """Return where the origin of the points lies in the carrier's frame: at the sensor, or at the base."""
+        """Return the origin of the points in the carrier's frame: the sensor, or the base."""
         if self.family.frame != "base":
             x, y, z = agent.mount.translation
             return float(x), float(y), float(z)
         return (0.0, 0.0, 0.05) if self.height_m < _ROBOT_M else (_AXLE_M[0], 0.0, _AXLE_M[1])
 
     def given(self, sweep: Sweep, agent: Agent) -> Sweep:
-        """Return the sweep (in the sensor's frame) with its points in the frame that the family says."""
+        """Return the sweep with its points transformed from the sensor's frame to the family's frame."""
         if self.family.frame == "sensor":
             return sweep
         origin = np.asarray(self.origin_m(agent))
@@ -125,7 +125,7 @@ class Mounting:
 
 
 def draw_mounting(family: MountingFamily, rng: np.random.Generator) -> Mounting:
-    """Return a mounting of a family; the same state of the generator gives the same mounting."""
+    """Sample a mounting of a family; the same generator state gives the same mounting."""
     height, yaw, pitch, roll, forward, left = (
         float(rng.uniform(*bounds))
         for bounds in (

@@ -1,4 +1,4 @@
-"""One sample from a world: what an agent's sensor meets, what it stores of that, and what it could have seen."""
+"""Observe a world with an agent's sensor: exact hits, stored sweep, and exact visibility."""
 
 from __future__ import annotations
 
@@ -21,26 +21,26 @@ from viewshed_lab.sim.truth.exact import exact_truth
 from viewshed_lab.sim.world import Agent, World
 
 _shared_snapshot = lru_cache(maxsize=1)(World.snapshot)
-"""The snapshot that all agents of a world share at one time."""
+"""Snapshot of a world at one time, shared by all agents."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Observation:
     """One revolution of one agent's sensor."""
 
-    scan: ExactScan  # what every beam met, without noise
-    image: StoredSweep  # what the sensor stored; ``image.sweep()`` is the sweep
-    truth: Truth  # what it could have seen
-    known: NDArray[np.bool_]  # (cells, cells) bool, where that is known
+    scan: ExactScan  # exact hit of every beam, without noise
+    image: StoredSweep  # range image that the sensor stores; ``image.sweep()`` is the sweep
+    truth: Truth  # what the sensor could have seen
+    known: NDArray[np.bool_]  # (cells, cells) bool, where the truth is known
 
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """How a world is observed."""
+    """Grid, conditions and duration of an observation."""
 
     grid: BevGrid  # of the truth
     conditions: Conditions = CONDITIONS["clear"]  # weather and faults
-    revolution_s: float = 0.1  # duration of a sweep; 0 lets all beams fire at once
+    revolution_s: float = 0.1  # duration of a sweep; 0 fires all beams at once
 
 
 def observe(
@@ -51,15 +51,15 @@ def observe(
     seed: np.random.SeedSequence,
     model: LidarModel | None = None,
 ) -> Observation:
-    """Return what ``agent`` observes in the revolution about ``t_s``; the same seed, the same bytes.
+    """Observe a world in the revolution around ``t_s``; the same seed gives the same bytes.
 
     Args:
-        world: that it is in.
-        agent: one of the world's.
-        t_s: time in seconds.
+        world: the world to observe.
+        agent: one of the world's agents.
+        t_s: time of the middle of the revolution, seconds.
         setting: grid, weather, duration of the revolution.
-        seed: of free paths in volumes and of the measurement's noise.
-        model: its sensor, where that is no table by name.
+        seed: of free paths in volumes and of measurement noise.
+        model: replaces the agent's beam table.
     """
     for_paths, for_noise = seed.spawn(2)
     scan, image = measure_sweep(world, agent, t_s, setting, for_paths, for_noise, model)
@@ -75,16 +75,16 @@ def measure_sweep(
     for_noise: np.random.SeedSequence,
     model: LidarModel | None = None,
 ) -> tuple[ExactScan, StoredSweep]:
-    """Return what every beam meets and what the sensor stores of that, as :func:`observe` does but without truth.
+    """Return the exact hit of every beam and the stored sweep; like :func:`observe`, but without truth.
 
     Args:
-        world: that the agent is in.
-        agent: one of the world's.
-        t_s: time in seconds.
+        world: the world to observe.
+        agent: one of the world's agents.
+        t_s: time of the middle of the revolution, seconds.
         setting: weather, duration of the revolution.
         for_paths: seed of free paths in volumes.
-        for_noise: seed of the measurement's noise.
-        model: the sensor, where that is no table by name.
+        for_noise: seed of measurement noise.
+        model: replaces the agent's beam table.
     """
     pose, motion = pose_and_motion(world, agent, t_s, setting.revolution_s)
     paths = int(for_paths.generate_state(1)[0])
@@ -101,10 +101,7 @@ def measure_sweep(
 
 
 def pose_and_motion(world: World, agent: Agent, t_s: float, period_s: float) -> tuple[Rigid, Motion]:
-    """Return where an agent's sensor is at ``t_s``, and how it moves within a revolution of ``period_s`` about that.
-
-    The motion is the difference over the revolution.
-    """
+    """Return the sensor's pose at ``t_s``, and its motion as the difference over a revolution of ``period_s``."""
     if period_s == 0.0 or agent.carrier is None:
         return world.world_from_sensor(agent, t_s), Motion(period_s=period_s)
     turns, positions = world.sensor_path(agent, np.array([t_s - period_s / 2, t_s, t_s + period_s / 2]))

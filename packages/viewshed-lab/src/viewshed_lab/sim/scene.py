@@ -1,4 +1,4 @@
-"""Scenes by hand: upright boxes and cylinders on a plane, in the ``level`` frame (meters, sensor above the origin)."""
+"""Scenes of upright boxes and cylinders on a plane, in the ``level`` frame (meters, sensor above the origin)."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ _HALF_EXTENT_M = 1000.0
 
 @dataclass(frozen=True, slots=True)
 class Scene:
-    """Things on a plane."""
+    """Solids on a plane."""
 
     boxes: tuple[Box, ...] = ()  # upright boxes
     cylinders: tuple[Cylinder, ...] = ()  # upright cylinders
-    # the ground rises by (a, b) meters for each meter of x and y; it is 0 below the sensor
+    # (a, b): rise of the ground per meter of x and y; its height is 0 below the sensor
     slope: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
@@ -44,7 +44,7 @@ class Scene:
         return self.slope[0] * x_m + self.slope[1] * y_m
 
     def world(self) -> World:
-        """Return the scene as a world, each solid a thing on the ground below its center."""
+        """Return the scene as a world; each solid is a thing on the ground below its center."""
         solids: tuple[Box | Cylinder, ...] = (*self.boxes, *self.cylinders)
         things = tuple(Thing("solid", (replace(s, x_m=0.0, y_m=0.0),), s.x_m, s.y_m) for s in solids)
         return World("scene", Terrain.plane(_HALF_EXTENT_M, self.slope), things)
@@ -53,7 +53,7 @@ class Scene:
 def scan_of(
     model: LidarModel, scene: Scene, sensor_height_m: float, attitude: ArrayLike = (1.0, 0.0, 0.0, 0.0)
 ) -> ExactScan:
-    """Return what the beams meet; column c fires at azimuth -π + c · ``model.azimuth_step``.
+    """Cast the beams into a scene; column c fires at azimuth -π + c · ``model.azimuth_step``.
 
     ``attitude`` is ``level_from_sensor`` (w, x, y, z).
     """
@@ -65,7 +65,7 @@ def scan_of(
 def depth_image(
     model: LidarModel, scene: Scene, sensor_height_m: float, attitude: ArrayLike = (1.0, 0.0, 0.0, 0.0)
 ) -> NDArray[np.float64]:
-    """Return (rings, azimuth_columns) meters from each beam's start to its first hit; inf where it hits nothing.
+    """Return (rings, azimuth_columns) meters from each beam's start to its first hit; inf without a hit.
 
     >>> model = LidarModel("one", np.deg2rad([-30.0]), azimuth_columns=4)
     >>> depth_image(model, Scene(), sensor_height_m=2.0).round(5).tolist()
@@ -81,7 +81,7 @@ def cast(
     attitude: ArrayLike = (1.0, 0.0, 0.0, 0.0),
     rng: np.random.Generator | None = None,
 ) -> Sweep:
-    """Return the sweep that ``model`` would measure, with ring and firing azimuth; beams without a return are left out.
+    """Return the sweep that ``model`` measures in a scene, with ring and firing azimuth of every return.
 
     With ``rng`` the ranges have normal noise of :data:`NOISE_M`; without it they are exact.
     """
@@ -101,7 +101,7 @@ def cast(
 
 
 def junction() -> Scene:
-    """Return a road junction with no symmetry: the sensor waits at the stop line, a bus crosses from the left.
+    """Return an asymmetric road junction: the sensor waits at the stop line, a bus crosses from the left.
 
     >>> len(junction().boxes) > 30
     True
@@ -133,7 +133,7 @@ _CARS = (
 _PEOPLE = ((15.2, -1.6), (15.6, -2.5), (14.9, 4.4), (11.0, -6.3), (1.5, 9.3), (34.5, -7.0), (-12.0, -6.8))
 _POLES = ((12.6, -5.6), (12.4, 8.6), (33.8, 8.8), (34.2, -6.2), (-14.5, 9.6), (-22.0, -6.4), (56.0, 8.0))
 _TREES = ((-4.5, -7.6, 1.9), (-29.5, -6.9, 2.3), (36.5, -9.5, 2.6), (17.0, -38.0, 2.8), (4.5, 10.0, 1.6))
-"""Where cars stand and head; where people, poles and trees stand, with the radius of their crowns."""
+"""Poses of cars (x, y, yaw); positions of people, poles and trees, the last with the radius of their crowns."""
 
 
 def _car(x_m: float, y_m: float, yaw: float) -> list[Box]:

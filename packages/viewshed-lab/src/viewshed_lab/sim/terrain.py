@@ -1,4 +1,4 @@
-"""The ground: a surface of triangles over lines in x and y that may lie as close as a curb needs."""
+"""Terrain: a triangulated height field over unevenly spaced lines in x and y, so that curbs can be steep."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _LOOKUP_M = 0.125
 
 @dataclass(frozen=True, eq=False)
 class Terrain:
-    """Ground heights over a rectilinear lattice in the world frame; two triangles a quad, the edge holds beyond.
+    """Ground heights on a rectilinear lattice in the world frame, two triangles per quad; constant beyond its edge.
 
     The diagonal of quad (i, j) runs from node (i, j) to node (i + 1, j + 1). A curb is two lines a few
     centimeters apart.
@@ -31,7 +31,7 @@ class Terrain:
     x_m: NDArray[np.float64]  # (nx,) ascending lines
     y_m: NDArray[np.float64]  # (ny,) ascending lines
     heights_m: NDArray[np.float64]  # (nx, ny) z of the nodes
-    # (nx - 1, ny - 1) uint8 rows of ``MATERIALS``, one a quad; asphalt if left out
+    # (nx - 1, ny - 1) uint8 rows of ``MATERIALS``, one per quad; asphalt by default
     material: NDArray[np.uint8] = field(default_factory=lambda: np.zeros((0, 0), np.uint8))
 
     def __post_init__(self) -> None:
@@ -52,7 +52,7 @@ class Terrain:
 
     @classmethod
     def plane(cls, half_extent_m: float, slope: tuple[float, float] = (0.0, 0.0), material: str = "asphalt") -> Terrain:
-        """Return one quad that rises by ``slope`` (a, b) meters for each meter of x and y, 0 at the origin.
+        """Return a plane of one quad with ``slope`` (a, b), rise per meter of x and y; its height at the origin is 0.
 
         >>> float(Terrain.plane(50.0, (0.1, 0.0)).at([[20.0, 3.0]])[0])
         2.0
@@ -69,13 +69,13 @@ class Terrain:
         height: Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]],
         material: Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.uint8]] | None = None,
     ) -> Terrain:
-        """Return the terrain with nodes at ``height(x, y)`` and quads of ``material(x, y)``, taken in their middle."""
+        """Return the terrain with heights ``height(x, y)`` of nodes and ``material(x, y)`` at the centers of quads."""
         x, y = np.unique(np.asarray(x_m, np.float64)), np.unique(np.asarray(y_m, np.float64))
         heights = height(*np.meshgrid(x, y, indexing="ij"))
         if material is None:
             return cls(x, y, heights)
-        middles = np.meshgrid((x[1:] + x[:-1]) / 2, (y[1:] + y[:-1]) / 2, indexing="ij")
-        return cls(x, y, heights, material(*middles))
+        centers = np.meshgrid((x[1:] + x[:-1]) / 2, (y[1:] + y[:-1]) / 2, indexing="ij")
+        return cls(x, y, heights, material(*centers))
 
     def at(self, xy: FloatArray | ArrayLike) -> NDArray[np.float64]:
         """Return ground z (…,) in meters at points (…, 2+) of the world, exact on the triangles."""
@@ -88,7 +88,7 @@ class Terrain:
     def about(
         self, pose: Rigid, forward_m: NDArray[np.float64], left_m: NDArray[np.float64]
     ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-        """Return ground z (n, m) above the origin of a pose, and whether the terrain reaches there.
+        """Return ground z (n, m) above the origin of a pose, and whether the point is on the terrain.
 
         Args:
             pose: in the world; only its yaw turns the points.
@@ -110,7 +110,7 @@ class Terrain:
 
     @cached_property
     def _lookups(self) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-        """Return for each step of 1/8 meter the line at or before it, along x and y."""
+        """Return the index of the line at or before each step of 1/8 meter, along x and y."""
         return _lookup(self.x_m), _lookup(self.y_m)
 
 
@@ -136,7 +136,7 @@ def _line(lines: Any, lookup: Any, value: Any) -> Any:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _quad(xs: Any, ys: Any, z: Any, i: Any, j: Any) -> Any:
-    """Return corner, sides and the heights of the four nodes of a quad."""
+    """Return corner, side lengths and the heights of the four nodes of a quad."""
     return xs[i], ys[j], xs[i + 1] - xs[i], ys[j + 1] - ys[j], z[i, j], z[i + 1, j], z[i, j + 1], z[i + 1, j + 1]
 
 
@@ -159,7 +159,7 @@ def _heights(xs: Any, ys: Any, z: Any, lookups: Any, points: Any, out: Any) -> N
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _heights_about(terrain: Any, forward: Any, left: Any, pose: Any, heights: Any, inside: Any) -> None:
-    """Fill z (n, m) above a pose's origin and whether the terrain is there, going from quad to quad."""
+    """Fill z (n, m) above a pose's origin and whether the point is on the terrain, walking from quad to quad."""
     (xs, ys, z), (c, s, x0, y0, z0) = terrain, pose
     i, j, quad = 0, 0, _quad(xs, ys, z, 0, 0)
     for row in range(forward.shape[0]):
@@ -175,7 +175,7 @@ def _heights_about(terrain: Any, forward: Any, left: Any, pose: Any, heights: An
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _walk(lines: Any, i: Any, value: Any) -> Any:
-    """Return the line at or before a value, but the last, found from a guess."""
+    """Return the index of the line at or before a value (never the last line), searching from guess ``i``."""
     while i > 0 and value < lines[i]:
         i -= 1
     while i < lines.shape[0] - 2 and value >= lines[i + 1]:

@@ -1,4 +1,4 @@
-"""Worlds: ground, things that stand or move on it, and the agents that look at them."""
+"""Worlds: ground, static and moving things on it, and agents with sensors."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ from viewshed_lab.sim.assets.shapes import KINDS, Shape, material_index
 from viewshed_lab.sim.terrain import Terrain
 
 GROUND, NOTHING = -1, -2
-"""What a beam met if it was no thing: the ground, or nothing within range."""
+"""Thing index of a beam that hit the ground, or nothing within range."""
 
 DECK = "deck"
-"""Kind of a thing whose top carries others: those on the upper level of a world."""
+"""Kind of a thing whose top is ground for the things on the upper level of a world."""
 
 _DT_S, _WHEELBASE_M = 0.05, 3.0
-"""Velocities are differences over this time to both sides; vehicles tilt as the ground does over this length."""
+"""Half step of the central differences for velocities; length over which the ground tilts a vehicle."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Track:
-    """Where something is over time: straight between knots; before the first and after the last it stands still."""
+    """Position and yaw over time: linear between knots, constant before the first and after the last."""
 
     t_s: NDArray[np.float64]  # (k,) ascending seconds
     xy_m: NDArray[np.float64]  # (k, 2) meters in the world
-    yaw: NDArray[np.float64]  # (k,) radians, continuous (it may pass π)
+    yaw: NDArray[np.float64]  # (k,) radians, continuous (may exceed π)
 
     def __post_init__(self) -> None:
         for name in ("t_s", "xy_m", "yaw"):
@@ -60,17 +60,17 @@ class Track:
 
 @dataclass(frozen=True, slots=True)
 class Thing:
-    """Something that stands on the ground or moves over it."""
+    """A static or moving object on the ground."""
 
-    kind: str  # what it is, for example ``car``
-    parts: tuple[Shape, ...]  # its solids, in its own frame: x forward, y left, z up from the ground below its origin
-    x_m: float = 0.0  # where its origin is in the world (at rest)
+    kind: str  # for example ``car``
+    parts: tuple[Shape, ...]  # solids in the thing's frame: x forward, y left, z up from the ground below its origin
+    x_m: float = 0.0  # of its origin in the world (at rest)
     y_m: float = 0.0  # see ``x_m``
-    yaw: float = 0.0  # its heading in the world (at rest)
-    track: Track | None = None  # where it is over time, or None if it rests
-    tilts: bool = False  # whether it lies along the ground's slope (vehicles) or stands upright
+    yaw: float = 0.0  # heading in the world (at rest)
+    track: Track | None = None  # motion over time, or None at rest
+    tilts: bool = False  # whether it follows the ground's slope (vehicles) or stands upright
     z_m: float | None = None  # height of its origin in the world, or None for the ground's
-    upper: bool = False  # whether it stands or drives on the world's upper level where there is one, not below it
+    upper: bool = False  # whether it is on the world's upper level, if there is one
 
     def pose_at(self, t_s: float) -> tuple[float, float, float]:
         """Return x and y in meters and yaw in radians at ``t_s``."""
@@ -81,23 +81,22 @@ class Thing:
 class Agent:
     """A sensor on a vehicle or on a mast."""
 
-    name: str  # who measures
-    sensor: str  # a beam table's name
-    # ``carrier_from_sensor``: from the sensor to the frame of its carrier, or to the world if there is none
-    mount: Rigid
-    carrier: int | None = None  # index of the thing that it is mounted on, or None for a mast
+    name: str
+    sensor: str  # name of the beam table
+    mount: Rigid  # ``carrier_from_sensor``, or ``world_from_sensor`` without a carrier
+    carrier: int | None = None  # index of the thing that carries the sensor, or None for a mast
 
 
 @dataclass(frozen=True, slots=True)
 class AgentPlan:
-    """Which sensors a world must carry."""
+    """Sensors that a world must have."""
 
-    moving: int = 1  # vehicles (outdoors) or robots (indoors) that drive and measure
+    moving: int = 1  # driving vehicles (outdoors) or robots (indoors) with a sensor
     roadside: int = 0  # sensors on masts, elevated and tilted
-    sensor: str = "hdl32e"  # beam table of the moving ones
-    roadside_sensor: str = "roadside"  # beam table of those on masts
-    sensor_height_m: float = 1.84  # of the moving ones, above the ground
-    duration_s: float = 20.0  # how long the tracks must last
+    sensor: str = "hdl32e"  # beam table of the moving sensors
+    roadside_sensor: str = "roadside"  # beam table of the sensors on masts
+    sensor_height_m: float = 1.84  # of the moving sensors, above the ground
+    duration_s: float = 20.0  # required duration of the tracks
 
     def __post_init__(self) -> None:
         if min(self.moving, self.roadside) < 0 or self.moving + self.roadside < 1:
@@ -117,27 +116,27 @@ class Snapshot:
     half_m: NDArray[np.float64]  # (n, 3) float64 half sizes along the shape's own axes
     velocity_mps: NDArray[np.float64]  # (n, 3) float64; solids do not turn within a revolution
     material: NDArray[np.uint8]  # (n,) uint8 rows of ``MATERIALS``
-    thing: NDArray[np.int32]  # (n,) int32 index of the thing that it belongs to
+    thing: NDArray[np.int32]  # (n,) int32 index of the thing of each solid
 
 
 @dataclass(frozen=True, eq=False)
 class World:
     """Ground, things and agents, made from a seed."""
 
-    name: str  # what kind of place it is
+    name: str  # kind of world
     terrain: Terrain  # the ground
-    things: tuple[Thing, ...] = ()  # all that stands or moves on it, the agents' own vehicles too
-    agents: tuple[Agent, ...] = ()  # the sensors in it
+    things: tuple[Thing, ...] = ()  # all static and moving things, including the agents' vehicles
+    agents: tuple[Agent, ...] = ()  # sensors
     indoor: bool = False  # whether it is a building
-    # of a world with several levels the ground of those on the upper one: the top of its decks, and the terrain where
-    # there is none. The decks themselves are solids, things of the kind :data:`DECK`.
+    # in a world with two levels the ground of the upper one: the top of its decks, and the terrain beside them. The
+    # decks are solids, things of kind :data:`DECK`.
     upper: Terrain | None = None
 
     def ground_of(self, agent: Agent | None) -> Terrain:
-        """Return the ground on which a target of an agent stands: its own level where there is one, else the terrain.
+        """Return the ground under an agent's targets: the upper level for an agent there, otherwise the terrain.
 
-        An agent on the upper level has that as its ground, so a cell beside the deck is the land below; a mast, and an
-        agent below a deck, have the terrain.
+        On the upper level, a cell beside the deck has the land below as its ground. Masts and agents below a deck use
+        the terrain.
         """
         if self.upper is None or agent is None or agent.carrier is None or not self.things[agent.carrier].upper:
             return self.terrain
@@ -170,13 +169,13 @@ class World:
         if rows.size:
             turn, origin = self._poses(np.array([t_s, t_s - _DT_S, t_s + _DT_S]), things)
             center, rotation = center.copy(), rotation.copy()
-            center[rows], rotation[rows] = self._placed(rows, turn[0, which], origin[0, which])
+            center[rows], rotation[rows] = self._solid_poses(rows, turn[0, which], origin[0, which])
             velocity[rows] = ((origin[2] - origin[1]) / (2 * _DT_S))[which]
         return Snapshot(self.terrain, kind, center, rotation, half, velocity, material, thing)
 
     @cached_property
     def _courses(self) -> tuple[Any, ...]:
-        """Of all things x, y, yaw at rest, height (NaN: the ground's), whether it tilts and is upper, span of knots."""
+        """x, y, yaw at rest, height (NaN: the ground's), tilts and upper flags, and knots of all things."""
         tracks = [thing.track for thing in self.things]
         counts = np.array([0 if track is None else len(track.t_s) for track in tracks], np.intp)
         spans = np.stack([np.cumsum(counts) - counts, np.cumsum(counts)], axis=-1)
@@ -190,7 +189,7 @@ class World:
 
     @cached_property
     def _moving(self) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
-        """Things that move, rows of their solids, and for each row which of the things."""
+        """Indices of moving things, rows of their solids, and for each row the position of its thing in the first."""
         things = np.flatnonzero([thing.track is not None for thing in self.things])
         rows = np.flatnonzero(np.isin(self._parts[1], things))
         return things, rows, np.searchsorted(things, self._parts[1][rows])
@@ -198,7 +197,7 @@ class World:
     @cached_property
     def _parts(self) -> tuple[NDArray[np.uint8], NDArray[np.int32], NDArray[np.uint8], NDArray[np.float64],
                               NDArray[np.float64], NDArray[np.float64]]:  # fmt: skip
-        """Kind, thing, material, half sizes, and in the frame of the thing center and yaw of every solid."""
+        """Kind, thing, material, half sizes, and center and yaw in the thing's frame, of every solid."""
         parts = [(index, part) for index, thing in enumerate(self.things) for part in thing.parts]
         kind = np.array([KINDS[type(part)] for _, part in parts], np.uint8)
         thing = np.array([index for index, _ in parts], np.int32)
@@ -212,9 +211,9 @@ class World:
         """Centers and rotations of all solids at time 0."""
         thing = self._parts[1]
         rotation, origin = self._poses(np.zeros(1), np.arange(len(self.things)))
-        return self._placed(np.arange(len(thing)), rotation[0, thing], origin[0, thing])
+        return self._solid_poses(np.arange(len(thing)), rotation[0, thing], origin[0, thing])
 
-    def _placed(
+    def _solid_poses(
         self, rows: NDArray[np.intp], rotation: NDArray[np.float64], origin: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         center, yaw = self._parts[4][rows], self._parts[5][rows]
@@ -237,13 +236,13 @@ class World:
             tilting = np.flatnonzero(tilts[which] & rows)
             if tilting.size:
                 normals = ground.normals_at(positions[:, tilting], _WHEELBASE_M)
-                rotation[:, tilting] = _along(normals, positions[:, tilting, 2])
+                rotation[:, tilting] = _tilted_by_ground(normals, positions[:, tilting, 2])
         origin[..., 2] = np.where(np.isnan(z_m[which]), origin[..., 2], z_m[which])
         return rotation, origin
 
 
 def tilted(yaw: float, pitch: float, roll: float) -> NDArray[np.float64]:
-    """Return the rotation (3, 3) of a sensor turned to the left, tilted down and rolled, all in radians."""
+    """Return the rotation (3, 3) of a sensor with yaw to the left, pitch down, and roll, in radians."""
     c, s, cr, sr = np.cos(pitch), np.sin(pitch), np.cos(roll), np.sin(roll)
     down = np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
     lean = np.array([[1.0, 0.0, 0.0], [0.0, cr, -sr], [0.0, sr, cr]])
@@ -251,7 +250,7 @@ def tilted(yaw: float, pitch: float, roll: float) -> NDArray[np.float64]:
 
 
 def turns_of(yaw: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return rotations (…, 3, 3) about z."""
+    """Return rotations (…, 3, 3) about z by yaw (…), radians."""
     turns = np.zeros((*yaw.shape, 3, 3))
     turns[..., 0, 0] = turns[..., 1, 1] = np.cos(yaw)
     turns[..., 1, 0] = np.sin(yaw)
@@ -260,8 +259,8 @@ def turns_of(yaw: NDArray[np.float64]) -> NDArray[np.float64]:
     return turns
 
 
-def _along(normals: NDArray[np.float64], yaw: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the rotations (…, 3, 3) that head along ``yaw`` with z on the normals (…, 3)."""
+def _tilted_by_ground(normals: NDArray[np.float64], yaw: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return rotations (…, 3, 3) with heading ``yaw`` (…) and z along the ground's normals (…, 3)."""
     forward = np.stack([np.cos(yaw), np.sin(yaw), np.zeros_like(yaw)], axis=-1)
     forward = forward - (forward * normals).sum(axis=-1, keepdims=True) * normals
     forward /= np.linalg.norm(forward, axis=-1, keepdims=True)
@@ -270,9 +269,10 @@ def _along(normals: NDArray[np.float64], yaw: NDArray[np.float64]) -> NDArray[np
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def poses_of_things(t_s: Any, which: Any, at_rest: Any, spans: Any, times: Any, values: Any, out: Any) -> None:
-    """Fill x, y and yaw (n, k, 3) of k things ``which`` at n times, from where they rest or from their knots.
+    """Fill x, y and yaw (n, k, 3) of k things ``which`` at n times, from their rest pose or their knots.
 
-    Of all things: x, y, yaw at rest (things, 3) and first and last knot (things, 2); times (knots,), values (knots, 3).
+    For all things: ``at_rest`` (things, 3) x, y, yaw; ``spans`` (things, 2) first and last knot; ``times`` (knots,) and
+    ``values`` (knots, 3).
     """
     for k in range(which.shape[0]):
         thing = which[k]
@@ -284,7 +284,7 @@ def poses_of_things(t_s: Any, which: Any, at_rest: Any, spans: Any, times: Any, 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def interpolate_track(t_s: Any, times: Any, values: Any, begin: Any, end: Any, out: Any) -> None:
-    """Fill x, y and yaw (n, 3) at n times, straight between the knots ``begin`` to ``end``, still outside."""
+    """Fill x, y and yaw (n, 3) at n times, linear between the knots ``begin`` to ``end``, constant outside."""
     for n in range(t_s.shape[0]):
         t = t_s[n]
         j = begin + np.searchsorted(times[begin:end], t, side="right") - 1

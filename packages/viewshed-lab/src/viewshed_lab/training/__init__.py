@@ -1,4 +1,4 @@
-"""Training and cross-validation of networks. Only what fits a network imports torch."""
+"""Train and cross-validate networks. Only modules that fit a network import torch."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Post-training quantization of a network to int8: calibrated and checked on sweeps like those it was trained on."""
+"""Quantize a trained network to int8; calibrate and check it on sweeps like those of its training."""
 
 from __future__ import annotations
 
@@ -22,46 +22,46 @@ from viewshed_lab.training.data import archived_samples
 from viewshed_lab.training.samples import CleanSample, TrainingFrames, TrainingSample, labeled, paper_label
 
 MAX_F1_LOSS = 0.002
-"""F1 that quantization may cost."""
+"""Largest loss of F1 that quantization may cause."""
 
 FRAMES = 64
-"""Sweeps that calibrate, and as many others that check, unless other numbers are given."""
+"""Default number of calibration sweeps, and of check sweeps."""
 
-_CLIPS, _CHOOSING = (127, 63, 31, 15), 8
-"""Counts above which a network in bytes may stop counting, beside its own limit; sweeps on which each is tried."""
+_CLIPS, _CLIP_FRAMES = (127, 63, 31, 15), 8
+"""Clips to try for an int8 network, besides its own, and the number of sweeps to compare them on."""
 
 _EPOCH, _FRESH, _STEP = 0x62797465, 0x7665777368, 8
-"""Seeds, and the step in the numbers of new frames: the shipped weights were calibrated with these."""
+"""Seeds, and the step between the indices of new frames: the shipped weights were calibrated with these."""
 
 
 @dataclass(frozen=True, slots=True)
 class QuantizationCost:
-    """What int8 costs, on sweeps of other scenes than those that calibrated."""
+    """Loss of accuracy by int8, measured on scenes that were not used for calibration."""
 
-    passes: int  # 1 with dropout off, else those of Monte Carlo dropout, whose mean is compared
-    f1: float  # of the network in float32, all cells of all sweeps together
-    f1_int8: float  # of the network in int8
-    mean_difference: float  # mean absolute difference of their probabilities
-    flipped_share: float  # share of the known cells that one calls visible and the other does not
-    deviation: float  # mean over the cells of the deviation over passes, in float32; 0 for one pass
+    passes: int  # 1 with dropout off, else Monte Carlo dropout passes, whose mean is compared
+    f1: float  # of the float32 network, over all cells of all sweeps
+    f1_int8: float  # of the int8 network
+    mean_difference: float  # mean absolute difference of the two networks' probabilities
+    flipped_share: float  # share of the known cells on which the two networks disagree (visible or not)
+    deviation: float  # standard deviation over passes in float32, mean over the cells; 0 for one pass
     deviation_int8: float  # the same in int8
 
 
 def quantize(config: TrainConfig, network: str | Path, out: str | Path, frames: int = FRAMES) -> list[QuantizationCost]:
-    """Write a network in int8 to a new file ``out`` and return what that costs, and with dropout what passes cost.
+    """Quantize a network to the int8 file ``out``; return its cost for one pass, and with dropout for several passes.
 
-    The sweeps are attacked as often as in the training; the first ``frames`` calibrate, as many others check. Those of
-    presets are simulated anew, each in a scene of its own that no epoch has seen; of archives they are sweeps of the
-    training, spread evenly, with other attacks.
+    The sweeps are attacked as often as in the training; the first ``frames`` calibrate, as many others check. Sweeps of
+    presets are simulated, each in a new scene that no epoch has used. Sweeps of archives are training sweeps, evenly
+    spaced, with other attacks.
 
     Args:
-        config: that the network was trained with.
-        network: file of the network in float32.
-        out: file to be written, whole or not at all.
-        frames: sweeps that calibrate.
+        config: of the network's training.
+        network: file of the float32 network.
+        out: file to write, atomically.
+        frames: number of calibration sweeps.
 
     Raises:
-        ValueError: the network is not one of the config, or loses more F1 than ``MAX_F1_LOSS``; nothing is written.
+        ValueError: the network does not fit the config, or loses more F1 than ``MAX_F1_LOSS``; nothing is written.
         ImportError: onnx is not installed.
     """
     from viewshed_lab.training.quantize import quantize_network
@@ -69,74 +69,75 @@ def quantize(config: TrainConfig, network: str | Path, out: str | Path, frames: 
     if frames < 1:
         raise ValueError(f"frames must be at least 1, got {frames}")
     content = Path(network).read_bytes()
-    whole = OnnxRunner.of_content(content, str(network), 1)
-    _check(config, whole)
-    drawn = _draw(config, 2 * frames)
-    calibration_maps = [next(drawn).maps for _ in range(frames)]
+    float32_runner = OnnxRunner.of_content(content, str(network), 1)
+    _check(config, float32_runner)
+    samples = _samples(config, 2 * frames)
+    calibration_maps = [next(samples).maps for _ in range(frames)]
     training_facts = {"calibration": f"{frames} sweeps of {', '.join(config.data)}, {config.attack_share:.0%} attacked"}
-    clip = _choose_clip(content, whole, calibration_maps) if whole.card.counts == "linear" else None
-    small = quantize_network(content, str(network), calibration_maps, training_facts, clip)
-    checks, runners = list(drawn), (whole, OnnxRunner.of_content(small, str(out), 1))
-    counts = (1, PASSES) if whole.card.shape.dropout else (1,)
-    costs = [_compare(*runners, checks, passes) for passes in counts]
+    clip = _choose_clip(content, float32_runner, calibration_maps) if float32_runner.card.counts == "linear" else None
+    int8_content = quantize_network(content, str(network), calibration_maps, training_facts, clip)
+    int8_runner = OnnxRunner.of_content(int8_content, str(out), 1)
+    checks, counts = list(samples), (1, PASSES) if float32_runner.card.shape.dropout else (1,)
+    costs = [_compare(float32_runner, int8_runner, checks, passes) for passes in counts]
     for cost in costs:
         if cost.f1 - cost.f1_int8 > MAX_F1_LOSS:
             raise ValueError(
                 f"F1 in bytes must be within {MAX_F1_LOSS} of float32, got {cost.f1_int8:.4f} and {cost.f1:.4f}; "
                 "calibrate with more frames, or keep float32"
             )
-    write_atomic(out, small)
+    write_atomic(out, int8_content)
     return costs
 
 
-def _choose_clip(content: bytes, whole: OnnxRunner, maps: Sequence[Bytes]) -> int:
-    """Return where counting stops so that bytes are most like float32.
+def _choose_clip(content: bytes, float32_runner: OnnxRunner, maps: Sequence[Bytes]) -> int:
+    """Return the clip with the smallest mean difference between int8 and float32.
 
-    Most cells have few returns, some beside the sensor hundreds. Where these decide the range of the first layers, one
-    step of a byte is more than most cells differ by.
+    Most cells have few returns, some beside the sensor hundreds. If these set the range of the first layers, one step
+    of uint8 exceeds the differences between most cells.
     """
     from viewshed_lab.training.quantize import quantize_network
 
-    used, differences = maps[:_CHOOSING], dict[int, float]()
-    for clip in (whole.card.clip, *(clip for clip in _CLIPS if clip < whole.card.clip)):
-        small = OnnxRunner.of_content(quantize_network(content, whole.card.name, used, clip=clip), "int8", 1)
-        found = [[runner.run(runner.card.shown(each)[None], None) for runner in (whole, small)] for each in used]
-        differences[clip] = float(np.mean([np.abs(one - other).mean() for one, other in found]))
+    maps, card, differences = maps[:_CLIP_FRAMES], float32_runner.card, dict[int, float]()
+    for clip in (card.clip, *(clip for clip in _CLIPS if clip < card.clip)):
+        int8_runner = OnnxRunner.of_content(quantize_network(content, card.name, maps, clip=clip), "int8", 1)
+        runners = (float32_runner, int8_runner)
+        probs = [[runner.run(runner.card.shown(sweep_maps)[None], None) for runner in runners] for sweep_maps in maps]
+        differences[clip] = float(np.mean([np.abs(float32 - int8).mean() for float32, int8 in probs]))
     return min(differences, key=differences.__getitem__)
 
 
-def _draw(config: TrainConfig, count: int) -> Iterator[TrainingSample]:
-    """Yield ``count`` frames, in no order; see :func:`quantize`."""
+def _samples(config: TrainConfig, count: int) -> Iterator[TrainingSample]:
+    """Yield ``count`` attacked samples; see :func:`quantize`."""
     if config.simulated:
-        source, numbers = TrainingFrames(_NewScenes(config, count), config), np.arange(count) * _STEP
+        source, indices = TrainingFrames(_NewScenes(config, count), config), np.arange(count) * _STEP
     else:
         source = TrainingFrames(archived_samples(config), config)
-        if (most := len(source) // 2) < count // 2:
-            raise ValueError(f"frames must be at most {most}, half of the sweeps in the data, got {count // 2}")
+        if (max_frames := len(source) // 2) < count // 2:
+            raise ValueError(f"frames must be at most {max_frames}, half of the sweeps in the data, got {count // 2}")
         spread = np.linspace(0, len(source) - 1, count).astype(np.intp)
-        numbers = np.random.default_rng(config.seed).permutation(spread)
-    return (source.draw(_EPOCH, int(number)) for number in numbers)
+        indices = np.random.default_rng(config.seed).permutation(spread)
+    return (source.draw(_EPOCH, int(index)) for index in indices)
 
 
 @dataclass(frozen=True, slots=True)
 class _NewScenes:
-    """Frames of scenes that no training has seen, one of each, numbered in steps; the presets in turn."""
+    """Frames of scenes that no training has used, one per scene, at multiples of ``_STEP``; the presets alternate."""
 
     config: TrainConfig  # seed and presets
-    count: int  # how many
+    count: int  # number of frames
 
     def __len__(self) -> int:
         return self.count
 
     def clean(self, index: int) -> CleanSample:
-        """Return one frame, simulated now."""
+        """Simulate and return frame ``index``."""
         sample, config = simulate_frame(*self._place(index)), self.config
         if config.truth == "probe":
             return CleanSample(sample.sweep, sample.truth.visible(config.target), sample.known)
         return labeled(sample.sweep, paper_label(sample.sweep, config.grid, config.indoor))
 
     def earlier(self, index: int) -> tuple[Sweep, ...]:
-        """Return the sweep of the same agent just before it, or none at the start of a scene."""
+        """Return the previous sweep of the same agent, or an empty tuple at the start of a scene."""
         scene, number = self._place(index)
         before = number - scene.preset.agents
         return () if before < 0 else (simulate_frame(scene, before).sweep,)
@@ -156,29 +157,30 @@ class _NewScenes:
 
 
 def _check(config: TrainConfig, runner: OnnxRunner) -> None:
-    card, wanted = runner.card, config.card()
+    card, expected = runner.card, config.card()
     for name in ("grid", "target", "truth", "max_range_m", "heights_m", "counts"):
-        if getattr(card, name) != getattr(wanted, name):
+        if getattr(card, name) != getattr(expected, name):
             raise ValueError(
-                f"the network must be one of the config {config.name}, with {name} {getattr(wanted, name)}, got"
+                f"the network must be one of the config {config.name}, with {name} {getattr(expected, name)}, got"
                 f" {getattr(card, name)}"
             )
 
 
-def _compare(whole: OnnxRunner, small: OnnxRunner, frames: list[TrainingSample], passes: int) -> QuantizationCost:
+def _compare(
+    float32_runner: OnnxRunner, int8_runner: OnnxRunner, frames: list[TrainingSample], passes: int
+) -> QuantizationCost:
     scores, differences, flipped, deviations = (Scores(), Scores()), [], [], []
-    masks = whole.card.shape.masks(passes, np.random.default_rng(0)) if passes > 1 else None
+    runners, card = (float32_runner, int8_runner), float32_runner.card
+    masks = card.shape.masks(passes, np.random.default_rng(0)) if passes > 1 else None
     for frame in frames:
-        found = [
-            mean_and_deviation(runner.run(runner.card.shown(frame.maps)[None], masks)) for runner in (whole, small)
-        ]
-        probs = [prob for prob, _ in found]
+        outputs = [mean_and_deviation(runner.run(runner.card.shown(frame.maps)[None], masks)) for runner in runners]
+        probs = [prob for prob, _ in outputs]
         for score, prob in zip(scores, probs, strict=True):
             score.add(prob[frame.known], frame.visible[frame.known])
-        claims = [prob >= np.float32(whole.card.threshold) for prob in probs]
+        visible = [prob >= np.float32(card.threshold) for prob in probs]
         differences.append(float(np.abs(probs[0] - probs[1]).mean()))
-        flipped.append(float((claims[0] != claims[1])[frame.known].mean()))
-        deviations.append([float(std.mean()) for _, std in found])
-    f1, f1_int8 = (score.f1(whole.card.threshold) for score in scores)
+        flipped.append(float((visible[0] != visible[1])[frame.known].mean()))
+        deviations.append([float(std.mean()) for _, std in outputs])
+    f1, f1_int8 = (score.f1(card.threshold) for score in scores)
     std, std_int8 = np.mean(deviations, axis=0).tolist()
     return QuantizationCost(passes, f1, f1_int8, float(np.mean(differences)), float(np.mean(flipped)), std, std_int8)

@@ -1,4 +1,4 @@
-"""TrainConfig: all that decides what a trained network is, one flat TOML each. Needs no torch."""
+"""TrainConfig: all settings that determine a trained network, one flat TOML file each. Needs no torch."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from viewshed_lab.data.presets import MAX_SEED, preset_named, preset_names
 from viewshed_lab.threats.attacks import ATTACKS
 
 PAPER = "paper"
-"""Name of the mixture of arXiv 2503.07375, beside those of ``ATTACKS``."""
+"""Name of the attack mixture of arXiv 2503.07375; allowed in ``attacks`` beside the names of ``ATTACKS``."""
 
 ROOM_M = 20.0
-"""Grids up to this half extent are rooms: the paper's indoor label and attack."""
+"""Largest half extent of an indoor grid; indoor grids use the paper's indoor label and attack."""
 
 CHOICES: dict[str, tuple[str, ...]] = {
     "truth": TRUTHS, "variant": ("mle", "mcd"), "loss": ("bce", "bce_dice"), "schedule": ("constant", "cosine"),
     "precision": ("32", "bf16"), "counts": COUNTS,
 }  # fmt: skip
-"""What the keys that name one of a few may be."""
+"""Allowed values of the keys that are one of a few words."""
 
 _LIMITS: dict[str, tuple[float, float]] = {
     "validation_share": (0.0, 0.9), "attack_share": (0.0, 1.0),
@@ -38,46 +38,46 @@ _LIMITS: dict[str, tuple[float, float]] = {
 
 @dataclass(frozen=True, slots=True)
 class TrainConfig:
-    """How a network is trained. The same config gives the same weights on the same machine.
+    """Settings of a training. The same config gives the same weights on the same machine.
 
     Raises:
-        ValueError: a name is not known or a number is out of range.
+        ValueError: a name is unknown or a number is out of range.
     """
 
     name: str  # of the weights
-    about: str  # one line for people
-    data: tuple[str, ...]  # names of presets, which are simulated, or places of archives; not both
-    train_split: str  # the split that is used; a part of its scenes is for validation, other splits are never read
-    validation_share: float  # share of the scenes that validate, at least one of each place
-    cells: int  # cells a side of the network's grid
-    half_extent_m: float  # half the side of that grid
-    target: str  # what would have to be seen
-    truth: str  # ``probe``, the exact truth, or ``paper_label``, the label of arXiv 2503.07375 of the clean sweep
+    about: str  # one-line description
+    data: tuple[str, ...]  # preset names (simulated), or paths of archives; not both
+    train_split: str  # split to train on; some of its scenes validate, other splits are never read
+    validation_share: float  # share of the scenes that validate, at least one scene of each entry of ``data``
+    cells: int  # cells per side of the network's grid
+    half_extent_m: float  # half the side length of that grid
+    target: str  # object type whose visibility is estimated
+    truth: str  # ``probe``: exact truth; ``paper_label``: label of arXiv 2503.07375, computed from the clean sweep
     variant: str  # ``mcd`` trains with dropout, ``mle`` without
-    # names of ``ATTACKS``, one of which is drawn for a frame, or ``paper``; none is benign training
+    # names of ``ATTACKS`` or ``paper``, one sampled per attacked frame; empty is benign training
     attacks: tuple[str, ...]
-    attack_share: float  # share of the frames that are attacked (the paper's mixture leaves some of those alone)
+    attack_share: float  # share of the frames that are attacked (the paper's mixture leaves some of them unchanged)
     width: int  # channels of the first stage
-    depth: int  # poolings
+    depth: int  # number of pooling steps
     dropout: float  # share of the channels that are dropped, for ``mcd``
-    loss: str  # ``bce``, cross-entropy over the cells whose truth is known, or ``bce_dice``, with the Dice loss added
+    loss: str  # ``bce``: cross-entropy over the cells with known truth; ``bce_dice``: the same plus the Dice loss
     learning_rate: float  # of Adam
     schedule: str  # of the learning rate: ``constant``, or ``cosine`` down to a hundredth at the last epoch
-    batch: int  # frames of one step in each process
-    epochs: int  # at most
-    patience: int  # epochs without a lower validation loss after which training ends
-    frames_per_epoch: int  # frames drawn for an epoch; 0 is all
-    # 0 makes each frame whenever it is shown; n makes n versions of it, each attacked anew, once and for all, and shows
-    # one of them in each epoch. They are kept beside the labels, and cost no time while training.
+    batch: int  # frames per step in each process
+    epochs: int  # maximum
+    patience: int  # training stops after this many epochs without a lower validation loss
+    frames_per_epoch: int  # frames sampled per epoch; 0 is all
+    # 0 builds each frame whenever it is used. n builds n versions of each frame before training, each with a new
+    # attack, caches them beside the labels, and uses one version per epoch.
     versions: int
-    mirrored: bool  # whether frames are turned by quarter turns and mirrored at random, which alters no truth
+    mirrored: bool  # random quarter turns and mirroring, which change no truth
     precision: str  # ``32``, or ``bf16`` for the network's convolutions
-    workers: int  # processes that prepare frames beside the one that trains
-    threshold: float  # probability from which a cell counts as visible, in the scores and in the weights' card
-    seed: int  # of everything random
-    counts: str  # how the returns of a cell are shown: ``linear``, as published, or ``log``
-    max_range_m: float  # returns up to this horizontal range count
-    heights_m: tuple[float, float]  # lowest and highest z from the sensor at which returns count
+    workers: int  # loader processes beside the training process
+    threshold: float  # minimum probability of a visible cell, in the scores and in the network's card
+    seed: int  # of all random numbers
+    counts: str  # encoding of the returns per cell: ``linear``, as published, or ``log``
+    max_range_m: float  # returns beyond this horizontal range are ignored
+    heights_m: tuple[float, float]  # lowest and highest z from the sensor; returns outside are ignored
 
     def __post_init__(self) -> None:
         for key, names in CHOICES.items():
@@ -105,12 +105,12 @@ class TrainConfig:
 
     @property
     def simulated(self) -> bool:
-        """Whether the data are presets."""
+        """Whether ``data`` names presets."""
         return self.data[0] in preset_names()
 
     @property
     def indoor(self) -> bool:
-        """Whether the grid is a room's."""
+        """Whether the grid is an indoor one: half extent at most ``ROOM_M``."""
         return self.half_extent_m <= ROOM_M
 
     @property
@@ -120,12 +120,12 @@ class TrainConfig:
 
     @property
     def shape(self) -> UNetShape:
-        """The network's shape; without dropout where it is trained without."""
+        """The network's shape; dropout is 0 unless the variant is ``mcd``."""
         dropout = self.dropout if self.variant == "mcd" else 0.0
         return UNetShape(self.width, self.depth, dropout)
 
     def card(self, **trained: str) -> NetworkCard:
-        """Return the card of the network, with facts of its training."""
+        """Return the card of the network; ``trained`` are facts of its training."""
         return NetworkCard(
             self.name, self.shape, self.grid, self.target, self.truth, self.max_range_m, self.heights_m,
             counts=self.counts, threshold=self.threshold, trained=trained,
@@ -133,45 +133,45 @@ class TrainConfig:
 
     @classmethod
     def from_json(cls, table: dict[str, Any]) -> TrainConfig:
-        """Return the config in plain values: keys as the attributes, lists for tuples."""
+        """Return the config of a table of plain values: the keys are the attributes, tuples are lists."""
         return cls(**flat.from_dict(cls, current_keys(table), "training config"))
 
     def to_json(self) -> dict[str, Any]:
-        """Return the config as plain values."""
+        """Return the config as a table of plain values."""
         return flat.to_dict(self)
 
 
-_GONE = {"fresh": False, "inputs": ["counts"], "fold": 1, "ringless_share": 0.0, "past_share": 0.0}
-"""Keys of version 0.3, and their only values that this version trains."""
+_REMOVED_KEYS = {"fresh": False, "inputs": ["counts"], "fold": 1, "ringless_share": 0.0, "past_share": 0.0}
+"""Keys of version 0.3 that were removed, with the only value that is still accepted."""
 
 
 def current_keys(table: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a config in plain values without what those of version 0.3 have.
+    """Return a config table without the removed keys of version 0.3.
 
     Raises:
-        ValueError: it has a value that is not trained any more.
+        ValueError: a removed key has a value that is no longer supported.
     """
-    for key, value in _GONE.items():
+    for key, value in _REMOVED_KEYS.items():
         if table.get(key, value) != value:
             raise ValueError(f"{key} must be {value}, or left out, as a network is trained now, got {table[key]}")
-    return {key: value for key, value in table.items() if key not in {*_GONE, "doubt_frames"}}
+    return {key: value for key, value in table.items() if key not in {*_REMOVED_KEYS, "doubt_frames"}}
 
 
 def differing_keys(before: Mapping[str, Any], now: Mapping[str, Any]) -> str:
-    """Return the keys in which two tables of plain values differ, sorted, with commas."""
+    """Return the sorted, comma-separated keys in which two tables differ."""
     return ", ".join(sorted(key for key in {*before, *now} if before.get(key) != now.get(key)))
 
 
 def config_names() -> tuple[str, ...]:
-    """Return the names of the shipped configs, in alphabetical order."""
+    """Return the names of the shipped configs, sorted."""
     return tuple(sorted(path.stem for path in _configs_folder().glob("*.toml")))
 
 
 def read_config(place: str | Path) -> TrainConfig:
-    """Return the config of a TOML file, or a shipped one by its name. The file's name is the config's.
+    """Return the config of a TOML file or of a shipped name. The file's stem is the config's name.
 
     Raises:
-        ValueError: there is no such file or name, or it is no training config.
+        ValueError: there is no such file or name, or the file is no training config.
         OSError: the file cannot be read.
     """
     path = Path(place)

@@ -1,7 +1,7 @@
-"""Cross-validation by scene: which width, dropout and learning rate. A run that was stopped resumes where it was.
+"""Choose width, dropout and learning rate by cross-validation over scenes. An interrupted run resumes.
 
-A fold that is finished is a finished training, whose folder says its scores. Optuna's seeded sampler runs again from
-the start, and so asks for the same settings again.
+Each fold is a training in its own folder, which holds its scores. On a resume Optuna's seeded sampler starts again and
+proposes the same settings.
 """
 
 from __future__ import annotations
@@ -27,31 +27,28 @@ from viewshed_lab.training.run import require_torch, train
 
 @dataclass(frozen=True, slots=True)
 class FoldScore:
-    """The best epoch of one fold: its number, and its scores on the held-out scenes.
+    """Scores of the best epoch of one fold on the held-out scenes."""
 
-    ``setting`` names what was tried, ``fold`` is the number of the fold.
-    """
-
-    setting: str
-    fold: int
+    setting: str  # name of the hyperparameters
+    fold: int  # number of the fold
     f1: float
     iou: float
     loss: float
-    epoch: int
+    epoch: int  # number of the best epoch
 
 
 WIDTHS = (4, 8, 16, 32)
 DROPOUTS = (0.05, 0.10, 0.15)
 LEARNING_RATES = (1e-4, 1e-3, 1e-2)
-"""The settings of arXiv 2503.07375."""
+"""The hyperparameter grid of arXiv 2503.07375."""
 
 FIGURE, PAGE, CHOSEN = "crossval.png", "crossval.md", "chosen.toml"
-"""What cross-validation leaves in its folder, beside the trainings."""
+"""Files that cross-validation writes to its folder, beside the trainings."""
 
 
 @dataclass(frozen=True, slots=True, order=True)
 class Hyperparameters:
-    """What cross-validation chooses: channels of the first stage, share of dropped channels, learning rate of Adam.
+    """Hyperparameters to choose: channels of the first stage, share of dropped channels, learning rate of Adam.
 
     >>> Hyperparameters(8, 0.1, 1e-3).name
     'w8-p0.10-lr1e-03'
@@ -63,25 +60,25 @@ class Hyperparameters:
 
     @property
     def name(self) -> str:
-        """Short name, also of its folder."""
+        """Short name, also the name of its folder."""
         return f"w{self.width}-p{self.dropout:.2f}-lr{self.learning_rate:.0e}"
 
     def of(self, config: TrainConfig) -> TrainConfig:
-        """Return the config with this setting."""
+        """Return ``config`` with these hyperparameters."""
         return replace(config, width=self.width, dropout=self.dropout, learning_rate=self.learning_rate)
 
 
 @dataclass(frozen=True, slots=True)
 class Search(Checked):
-    """Which settings are tried.
+    """Hyperparameters to try.
 
     Raises:
-        ValueError: a name is not known or a number is too small.
+        ValueError: a name is unknown or a number is too small.
     """
 
-    # ``grid`` tries all in an order drawn at random, ``optuna`` those that its sampler (TPE) asks for
+    # ``grid`` tries the grid in random order, ``optuna`` what its TPE sampler proposes
     sampler: Annotated[str, OneOf(("grid", "optuna"))] = "grid"
-    trials: Annotated[int | None, Between(1)] = None  # how many; None is all of the grid
+    trials: Annotated[int | None, Between(1)] = None  # number of settings to try; None is the size of the grid
     folds: Annotated[int, Between(2)] = 5  # of the scenes
     widths: tuple[int, ...] = WIDTHS  # to choose from
     dropouts: tuple[float, ...] = DROPOUTS  # to choose from
@@ -95,11 +92,10 @@ class Search(Checked):
 
 @dataclass(frozen=True, slots=True)
 class CrossValidation:
-    """The result of cross-validation."""
+    """Result of a cross-validation."""
 
-    chosen: Hyperparameters  # the setting with the highest mean F1; of equals the smaller network
-    # by setting, one of each fold, in the order in which they were tried
-    scores: dict[Hyperparameters, tuple[FoldScore, ...]]
+    chosen: Hyperparameters  # highest mean F1; on ties the smaller network
+    scores: dict[Hyperparameters, tuple[FoldScore, ...]]  # one score per fold, in the order of the trials
 
 
 def crossval(
@@ -110,42 +106,42 @@ def crossval(
     device: str = "cpu",
     on_progress: Callable[[str, Step], None] | None = None,
 ) -> CrossValidation:
-    """Return the best setting of a config by folds of whole scenes; figure, page and chosen config are in ``out``.
+    """Choose the best hyperparameters by folds of scenes; write figure, page and chosen config to ``out``.
 
-    Folds that are finished stay; one that was stopped goes on after its last epoch.
+    Finished folds are reused; an interrupted fold resumes after its last epoch.
 
     Args:
-        config: what is trained; its own width, dropout and learning rate do not matter.
-        out: folder of this cross-validation alone.
-        search: which settings; None is the whole grid.
+        config: settings of the trainings; its own width, dropout and learning rate are ignored.
+        out: folder of this cross-validation only.
+        search: hyperparameters to try; None is the full grid.
         device: ``cpu`` or ``cuda``.
-        on_progress: is called after every batch with the name of the fold.
+        on_progress: called after every batch with the name of the fold.
 
     Raises:
         ValueError: there are fewer scenes than folds, or ``out`` holds another cross-validation.
-        OSError: something cannot be read or written.
+        OSError: a file cannot be read or written.
         ImportError: torch or optuna is not installed.
     """
     require_torch()
     from viewshed_lab.training.fit import check_device
 
-    wanted, folder = Search() if search is None else search, Path(out)
+    settings, folder = Search() if search is None else search, Path(out)
     check_device(Machines(device))
     check_data(config)
-    check_folds(config, wanted.folds)
+    check_folds(config, settings.folds)
 
     def score_fold(setting: Hyperparameters, number: int) -> FoldScore:
-        name = f"{setting.name}/fold-{number}-of-{wanted.folds}"
+        name = f"{setting.name}/fold-{number}-of-{settings.folds}"
         on_step = None if on_progress is None else partial(on_progress, name)
         best = train(
             setting.of(config), folder / name, device=device, on_progress=on_step, cache=folder / "cache",
-            fold=Fold(number, wanted.folds),
+            fold=Fold(number, settings.folds),
         ).best  # fmt: skip
         return FoldScore(setting.name, number, best.f1, best.iou, best.validation_loss, best.number)
 
-    try_settings = _search_with_optuna if wanted.sampler == "optuna" else _search_grid
+    try_settings = _search_with_optuna if settings.sampler == "optuna" else _search_grid
     tried = try_settings(
-        wanted, config, lambda setting: tuple(score_fold(setting, number) for number in range(wanted.folds))
+        settings, config, lambda setting: tuple(score_fold(setting, number) for number in range(settings.folds))
     )
     scores = dict(tried)
     result = CrossValidation(min(scores, key=lambda setting: (-mean_f1(scores[setting]), setting)), scores)
@@ -154,7 +150,7 @@ def crossval(
 
 
 ScoreFolds = Callable[[Hyperparameters], tuple[FoldScore, ...]]
-"""Returns one score of each fold of a setting: those that are stored, and those of trainings that run now."""
+"""Returns one score per fold of a setting; trains the folds that have not finished."""
 
 TriedSettings = Iterator[tuple[Hyperparameters, tuple[FoldScore, ...]]]
 
@@ -167,7 +163,7 @@ def _search_grid(search: Search, config: TrainConfig, score: ScoreFolds) -> Trie
 
 
 def _search_with_optuna(search: Search, config: TrainConfig, score: ScoreFolds) -> TriedSettings:
-    """Yield what optuna asks for; as its sampler has a seed, a run that goes on asks for the same again."""
+    """Yield what Optuna's seeded sampler proposes, with its scores; a resumed run proposes the same again."""
     with needed_for("--sampler optuna"):
         import optuna
     optuna.logging.set_verbosity(optuna.logging.WARNING)
@@ -185,7 +181,7 @@ def _search_with_optuna(search: Search, config: TrainConfig, score: ScoreFolds) 
 
 
 def mean_f1(scores: Sequence[FoldScore]) -> float:
-    """Return the mean F1 of the folds."""
+    """Return the mean F1 over folds."""
     return float(np.mean([score.f1 for score in scores]))
 
 
@@ -201,7 +197,7 @@ def _write(config: TrainConfig, out: Path, result: CrossValidation) -> None:
 
 
 def page_of(config: TrainConfig, result: CrossValidation) -> str:
-    """Return the page of a cross-validation: the setting chosen and the scores of all, as Markdown."""
+    """Return the Markdown page of a cross-validation: the chosen setting and the scores of all."""
     rows = []
     for setting in sorted(result.scores, key=lambda key: -mean_f1(result.scores[key])):
         f1 = np.array([score.f1 for score in result.scores[setting]])
@@ -223,7 +219,7 @@ def page_of(config: TrainConfig, result: CrossValidation) -> str:
 def toml_of(config: TrainConfig) -> str:
     """Return a config as TOML, without its name, which is the file's.
 
-    A string in JSON is a string in TOML, and so are the lists of strings and numbers here.
+    The strings, numbers and lists of a config are the same in JSON and TOML.
     """
     values = {key: json.dumps(value, ensure_ascii=False) for key, value in config.to_json().items() if key != "name"}
     return "".join(f"{key} = {value}\n" for key, value in values.items())

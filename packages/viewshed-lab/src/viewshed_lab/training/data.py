@@ -1,4 +1,4 @@
-"""From a config to data: archives are opened or simulated, and their scenes split into training and validation."""
+"""Open or simulate the archives of a config, and split their scenes into training and validation."""
 
 from __future__ import annotations
 
@@ -28,15 +28,17 @@ from viewshed_lab.training.samples import (
 )
 
 OnProgress = Callable[[str, int, int], None]
-"""Called with what is being prepared, how many frames are done and how many there are in all."""
+"""Called with the preparation stage, the frames that are done and the total frames."""
 
 _VALIDATION = 0x76616C
-_WORTH_PROCESSES = 100
+
+_MIN_FRAMES_FOR_PROCESSES = 100
+"""Fewer frames are done before a second process has started."""
 
 
 @dataclass(frozen=True, slots=True)
 class Fold:
-    """One of the folds of cross-validation: its number, and how many there are."""
+    """One fold of a cross-validation: its number from 0, and the number of folds."""
 
     number: int
     count: int
@@ -48,20 +50,20 @@ class Fold:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrainingData:
-    """What a training reads; no scene is in both."""
+    """Training and validation frames; no scene is in both."""
 
-    train: TrainingFrames  # what the weights are fitted to
-    validation: TrainingFrames  # what decides when to stop and which epoch is best
+    train: TrainingFrames  # to fit the weights
+    validation: TrainingFrames  # to choose the best epoch and when to stop
 
 
 def check_data(config: TrainConfig) -> None:
-    """Check that the archives of a config exist and have what it wants; presets have been checked by the config."""
+    """Check that the archives of a config exist and fit it; the config itself has checked presets."""
     if not config.simulated:
         check_archives(config, [_open_archive(place) for place in config.data])
 
 
 def check_folds(config: TrainConfig, count: int) -> None:
-    """Check that a config's data have scenes enough for ``count`` folds."""
+    """Check that each entry of a config's data has at least ``count`` scenes."""
     for place in config.data:
         if config.simulated:
             preset = preset_named(place)
@@ -75,13 +77,13 @@ def check_folds(config: TrainConfig, count: int) -> None:
 def prepare(
     config: TrainConfig, cache: Path, fold: Fold | None = None, on_progress: OnProgress | None = None
 ) -> TrainingData:
-    """Return the frames of a config; presets are simulated and the paper's labels made, once, below ``cache``.
+    """Return the frames of a config; simulate presets and compute the paper's labels below ``cache`` where missing.
 
     Args:
-        config: what is wanted.
-        cache: folder for what is simulated, labeled and cached.
-        fold: which scenes validate; None takes ``validation_share`` of them.
-        on_progress: is called as simulation, labels and cached samples progress.
+        config: settings of the training.
+        cache: folder of simulated archives, labels and cached samples.
+        fold: validation scenes; None selects ``validation_share`` of them.
+        on_progress: called during simulation, labeling and caching.
 
     Raises:
         ValueError: data do not fit the config, or there are too few scenes.
@@ -92,19 +94,19 @@ def prepare(
     archives = [_train_split(config, place, cache, on_progress) for place in config.data]
     check_archives(config, archives)
     parts = [_split_scenes(archive.split(config.train_split), config, fold) for archive in archives]
-    rest, held = (tuple(pair) for pair in zip(*parts, strict=True))
-    train = _frames_of_archives(config, rest, cache, on_progress, first_epoch=1, versions=config.versions)
+    train_parts, validation_parts = (tuple(pair) for pair in zip(*parts, strict=True))
+    train = _frames_of_archives(config, train_parts, cache, on_progress, first_epoch=1, versions=config.versions)
     validation = _frames_of_archives(
-        config, held, cache, on_progress, first_epoch=VALIDATION_EPOCH, versions=min(config.versions, 1)
+        config, validation_parts, cache, on_progress, first_epoch=VALIDATION_EPOCH, versions=min(config.versions, 1)
     )
     return TrainingData(replace(train, mirrored=config.mirrored), validation)
 
 
 def archived_samples(config: TrainConfig) -> ArchivedSamples:
-    """Return the clean frames of the archives of a config, all scenes of its split.
+    """Return the clean frames of all scenes of a config's archives and split.
 
     Raises:
-        ValueError: an archive is not there, or has not what the config wants.
+        ValueError: an archive is missing or does not fit the config.
     """
     archives = [_open_archive(place) for place in config.data]
     check_archives(config, archives)
@@ -120,7 +122,7 @@ def _frames_of_archives(
     first_epoch: int,
     versions: int,
 ) -> TrainingFrames:
-    """Return the frames of archives; the samples of ``versions`` epochs from the first one on are cached, 0 is none."""
+    """Return the frames of archives; cache the samples of ``versions`` epochs from ``first_epoch`` on (0: no cache)."""
     labels = None
     if config.truth == "paper_label":
         labels = PaperLabels(cache / "labels", config.grid, config.indoor)
@@ -137,7 +139,7 @@ def _frames_of_archives(
 
 
 def _split_scenes(archive: Archive, config: TrainConfig, fold: Fold | None) -> tuple[Archive, Archive]:
-    """Return the archive in two: what is trained on, and the scenes that validate."""
+    """Split an archive by scene into a training part and a validation part."""
     scenes = archive.scenes
     if fold is not None:
         return list(archive.folds(fold.count, config.seed))[fold.number]
@@ -148,8 +150,8 @@ def _split_scenes(archive: Archive, config: TrainConfig, fold: Fold | None) -> t
         )
     count = min(max(round(config.validation_share * len(scenes)), 1), len(scenes) - 1)
     order = np.random.default_rng([config.seed, _VALIDATION]).permutation(len(scenes))
-    held = {scenes[k] for k in order[:count]}
-    return archive.of_scenes(set(scenes) - held), archive.of_scenes(held)
+    validation = {scenes[k] for k in order[:count]}
+    return archive.of_scenes(set(scenes) - validation), archive.of_scenes(validation)
 
 
 def _train_split(config: TrainConfig, place: str, cache: Path, on_progress: OnProgress | None) -> Archive:
@@ -158,12 +160,12 @@ def _train_split(config: TrainConfig, place: str, cache: Path, on_progress: OnPr
     preset = preset_named(place)
     count = preset.splits.index(config.train_split) + 1
     parts = {name: getattr(preset, name)[:count] for name in ("splits", "scenes", "frames")}
-    wanted = replace(preset, grid_cells=config.cells, grid_half_extent_m=config.half_extent_m, **parts)
-    return _simulated_archive(wanted, cache, on_progress)
+    on_grid = replace(preset, grid_cells=config.cells, grid_half_extent_m=config.half_extent_m, **parts)
+    return _simulated_archive(on_grid, cache, on_progress)
 
 
 def _simulated_archive(preset: Preset, cache: Path, on_progress: OnProgress | None) -> Archive:
-    """Return the archive of a preset below ``cache``, made now unless it is there."""
+    """Return the archive of a preset below ``cache``; simulate it unless it exists."""
     store = Storage.of(cache / f"{preset.name}-{preset.grid_cells}x{preset.grid_half_extent_m:g}")
     with contextlib.suppress(ValueError, OSError):
         archive = Archive.open(store.uri)
@@ -179,12 +181,12 @@ def _simulated_archive(preset: Preset, cache: Path, on_progress: OnProgress | No
 
 
 def processes_for(frames: int) -> int:
-    """Return how many processes make frames: few frames are done before another process has started.
+    """Return the number of processes to build frames with: 1 for few frames, and in a worker process.
 
-    A worker of an engine may have no processes of its own, and shares the cores with others already.
+    A worker of an engine must not start processes, and already shares the cores with other workers.
     """
-    alone = frames < _WORTH_PROCESSES or multiprocessing.parent_process() is not None
-    return 1 if alone else cores()
+    single = frames < _MIN_FRAMES_FOR_PROCESSES or multiprocessing.parent_process() is not None
+    return 1 if single else cores()
 
 
 def _open_archive(place: str) -> Archive:
@@ -196,7 +198,7 @@ def _open_archive(place: str) -> Archive:
 
 @dataclass(slots=True)
 class _ProgressCounter:
-    """Counts frames of one preparation and reports the sum."""
+    """Counts the frames of one preparation stage and reports the sum."""
 
     on_progress: OnProgress | None
     name: str

@@ -1,4 +1,4 @@
-"""Figures of training: learning curves, and cross-validation setting by setting."""
+"""Figures of training: learning curves, and scores of cross-validation."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _COLORS = 64
 
 
 def curve_figure(name: str, history: Sequence[Epoch]) -> bytes:
-    """Return a PNG: the losses of every epoch, and F1 and IoU of the frames that validate; the best epoch marked."""
+    """Return a PNG of the losses, validation F1 and validation IoU over the epochs; the best epoch is marked."""
     figure = Figure(figsize=(8.0, 3.0), dpi=100, layout="constrained")
     losses, scores = figure.subplots(1, 2)
     best = min(history, key=lambda epoch: epoch.validation_loss)
@@ -33,13 +33,13 @@ def curve_figure(name: str, history: Sequence[Epoch]) -> bytes:
 
 
 def fold_figure(name: str, values: Mapping[str, Sequence[float]], chosen: str) -> bytes:
-    """Return a PNG of one box for each setting: the best F1 of its folds, as dots; the chosen one in color."""
+    """Return a PNG with one box per setting over the best F1 of its folds (dots); the chosen setting is colored."""
     figure = Figure(figsize=(max(4.0, 0.34 * len(values) + 1.5), 4.0), dpi=100, layout="constrained")
     axis = figure.subplots()
     for index, (setting, folds) in enumerate(values.items()):
         color = _VALIDATION if setting == chosen else _TRAIN
-        drawn = axis.boxplot([list(folds)], positions=[index], widths=0.6, showfliers=False, patch_artist=True)
-        drawn["boxes"][0].set(facecolor=color, alpha=0.4)
+        box = axis.boxplot([list(folds)], positions=[index], widths=0.6, showfliers=False, patch_artist=True)
+        box["boxes"][0].set(facecolor=color, alpha=0.4)
         axis.scatter([index] * len(folds), folds, s=9, color=color, zorder=3)
     axis.set_xticks(range(len(values)), list(values), rotation=90, fontsize=7)
     axis.set_ylabel("F1 of the held-out scenes", fontsize=8)
@@ -49,11 +49,11 @@ def fold_figure(name: str, values: Mapping[str, Sequence[float]], chosen: str) -
 
 
 def convergence_figure(curves: Mapping[str, Sequence[Sequence[float]]]) -> bytes:
-    """Return a PNG of one panel for each setting: the validation loss of each of its folds, epoch by epoch."""
-    across = min(len(curves), 3)
-    down = -(-len(curves) // across)
-    figure = Figure(figsize=(3.0 * across, 2.2 * down), dpi=100, layout="constrained")
-    panels = figure.subplots(down, across, squeeze=False, sharex=True, sharey=True).ravel()
+    """Return a PNG with one panel per setting: the validation loss of each fold over the epochs."""
+    columns = min(len(curves), 3)
+    rows = -(-len(curves) // columns)
+    figure = Figure(figsize=(3.0 * columns, 2.2 * rows), dpi=100, layout="constrained")
+    panels = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True).ravel()
     for axis, (setting, folds) in zip(panels, curves.items(), strict=False):
         for losses in folds:
             axis.plot(range(1, len(losses) + 1), losses, color=_VALIDATION, linewidth=1.0, marker="o", markersize=2.0)
@@ -86,8 +86,8 @@ def _grid(axis: Axes) -> None:
 
 
 def _png(figure: Figure) -> bytes:
-    drawn, buffer = io.BytesIO(), io.BytesIO()
+    raw, buffer = io.BytesIO(), io.BytesIO()
     FigureCanvasAgg(figure)
-    figure.savefig(drawn, format="png")
-    Image.open(drawn).convert("RGB").quantize(_COLORS, dither=Image.Dither.NONE).save(buffer, "png", optimize=True)
+    figure.savefig(raw, format="png")
+    Image.open(raw).convert("RGB").quantize(_COLORS, dither=Image.Dither.NONE).save(buffer, "png", optimize=True)
     return buffer.getvalue()

@@ -1,9 +1,9 @@
-"""One training by Lightning: loaders, processes, checkpoints, and the weights at the end [torch].
+"""Run one training with Lightning: loaders, processes, checkpoints, and the final weights [torch].
 
-A checkpoint is Lightning's own (weights, optimizer, schedule, epoch, random states) with an entry of ours: config,
-version, history and the weights of the best epoch. It is on the disk before it replaces the one before, so that a kill
-or a power failure leaves one that is whole; a resumed training is bit-equal to one that ran through. The table of the
-history is rewritten from the checkpoint's after every epoch; Lightning's CSV logger deletes the old one on a resume.
+A checkpoint is Lightning's (weights, optimizer, schedule, epoch, random states) plus one entry of ours: config,
+version, history and the weights of the best epoch. It is written to disk before it replaces the previous one, so a kill
+or a power failure leaves a complete checkpoint. A resumed training is bit-equal to an uninterrupted one. The history
+table is rewritten after every epoch, because Lightning's CSV logger deletes the old table on a resume.
 """
 
 from __future__ import annotations
@@ -50,21 +50,21 @@ _REPAIR = "delete it, and training begins again"
 
 
 class AtomicCheckpoints(TorchCheckpointIO):
-    """Writes a checkpoint beside the old one and moves it into place; reads tensors and plain values only."""
+    """Replaces checkpoints atomically; reads tensors and plain values only."""
 
     def save_checkpoint(self, checkpoint: dict[str, Any], path: Any, storage_options: Any = None) -> None:
-        """Write a checkpoint; where an OSError is raised, the one before is still there."""
+        """Write a checkpoint; on an OSError the previous one is kept."""
         buffer = io.BytesIO()
         torch.save(checkpoint, buffer)
         save(Path(path), buffer.getvalue())
 
     def load_checkpoint(self, path: Any, map_location: Any = "cpu", weights_only: bool | None = True) -> dict[str, Any]:
-        """Return a checkpoint of anything that Lightning wrote."""
+        """Return a checkpoint that Lightning wrote, on the CPU."""
         return _load(Path(path))
 
 
 def read_checkpoint(path: Path) -> dict[str, Any]:
-    """Return a checkpoint on the processor; a ValueError where it is damaged, or no training's of this format."""
+    """Return a training checkpoint on the CPU; raise a ValueError if it is damaged or has another format."""
     checkpoint = _load(path)
     if not isinstance(checkpoint.get(KEY), dict):
         raise ValueError(f"{path} must be a checkpoint of viewshed train, got another; {_REPAIR}")
@@ -79,12 +79,12 @@ def _load(path: Path) -> dict[str, Any]:
     try:
         checkpoint: Any = torch.load(io.BytesIO(content), map_location="cpu", weights_only=True)
         return dict(checkpoint)
-    except Exception as error:  # torch raises whatever its parts raise
+    except Exception as error:  # torch.load raises many types
         raise ValueError(f"{path} is damaged or no checkpoint; {_REPAIR}") from error
 
 
 def _check_same(checkpoint: dict[str, Any], config: TrainConfig, path: Path) -> None:
-    """Check that a checkpoint is of this config and version of the code."""
+    """Check that a checkpoint has the same config and viewshed version."""
     before, now = current_keys(checkpoint[KEY]["config"]), config.to_json()
     if before != now:
         other = differing_keys(before, now)
@@ -101,9 +101,9 @@ _LOGGERS = ("lightning.pytorch", "lightning.fabric", "torch.onnx")
 
 
 def silence() -> None:
-    """Silence the loggers and warnings of Lightning and torch: our progress and our errors say it.
+    """Silence the loggers and warnings of Lightning and torch, and restrict cuDNN to deterministic convolutions.
 
-    cuDNN is restricted to deterministic convolutions.
+    Our own progress and errors report the same.
     """
     for name in _LOGGERS:
         logging.getLogger(name).setLevel(logging.ERROR)
@@ -114,7 +114,7 @@ def silence() -> None:
 
 @contextlib.contextmanager
 def leave_cores_to_workers(workers: int) -> Iterator[None]:
-    """Leave one core to each loader process: torch's threads wait for the slowest among them."""
+    """Leave one core to each loader process: a torch operation waits for its slowest thread."""
     before = torch.get_num_threads()
     torch.set_num_threads(min(before, max((os.cpu_count() or 1) - workers, 1)))
     try:
@@ -125,7 +125,7 @@ def leave_cores_to_workers(workers: int) -> Iterator[None]:
 
 @contextlib.contextmanager
 def silenced() -> Iterator[None]:
-    """As :func:`silence`, and afterwards all is as it was."""
+    """Apply :func:`silence`, and restore everything afterwards."""
     levels = {name: logging.getLogger(name).level for name in _LOGGERS}
     deterministic = torch.backends.cudnn.deterministic
     with warnings.catch_warnings():
@@ -139,7 +139,7 @@ def silenced() -> Iterator[None]:
 
 
 _PREFETCH = 4
-_CAUGHT = "Caught "  # how torch begins what a worker raised; its last line is type and message
+_CAUGHT = "Caught "  # prefix of torch's message about an error in a worker; its last line is type and message
 
 
 def check_device(machines: Machines) -> None:
@@ -152,7 +152,7 @@ def check_device(machines: Machines) -> None:
 
 
 def read_history(config: TrainConfig, out: Path) -> list[Epoch]:
-    """Return the epochs that a folder's checkpoint holds, none where there is no checkpoint."""
+    """Return the epochs of the checkpoint in a folder; an empty list without a checkpoint."""
     path = out / CHECKPOINT
     if not path.is_file():
         return []
@@ -169,10 +169,10 @@ def fit(
     on_progress: OnProgress | None,
     history: list[Epoch],
 ) -> list[Epoch]:
-    """Return the history of a training, whose checkpoint, weights, table and picture are in ``out``."""
+    """Train or resume; write checkpoint, weights, history table and curves to ``out``, and return the history."""
     if not is_finished(history, config):
         out.mkdir(parents=True, exist_ok=True)
-        for name in (WEIGHTS, CURVES):  # of a training whose checkpoint was deleted
+        for name in (WEIGHTS, CURVES):  # left by a training whose checkpoint was deleted
             (out / name).unlink(missing_ok=True)
         loaders = Loaders(frames, config, machines)
         learner = Learner(config, loaders.steps, on_progress)
@@ -186,36 +186,36 @@ def fit(
 
 
 class Loaders(L.LightningDataModule):
-    """Frames in batches, divided among the processes that train."""
+    """Loads batches of frames, divided among the training processes."""
 
     def __init__(self, frames: TrainingData, config: TrainConfig, machines: Machines) -> None:
         super().__init__()
         self.frames, self.config = frames, config
         self.world = machines.devices * machines.nodes
-        self.take = min(config.frames_per_epoch or len(frames.train), len(frames.train))
+        self.frames_per_epoch = min(config.frames_per_epoch or len(frames.train), len(frames.train))
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        """Arrive in a process that trains beside the first one, which has been quiet since it began."""
+        """Unpickle in another training process, and silence its loggers as in the first one."""
         silence()
         self.__dict__.update(state)
 
     @property
     def steps(self) -> int:
-        """Batches of an epoch."""
+        """Batches per epoch in one process."""
         count, batch = len(self._order(Share(0, self.world))), self.config.batch
         return count // batch if count >= batch else 1
 
     def train_dataloader(self) -> DataLoader[Any]:
-        """Return the loader of the frames that are trained on; the last batch is left out unless it is full."""
+        """Return the loader of the training frames; a partial last batch is dropped."""
         order = self._order(self._share())
         return self._loader(self.frames.train, order, len(order) >= self.config.batch)
 
     def val_dataloader(self) -> DataLoader[Any]:
-        """Return the loader of the frames that validate."""
+        """Return the loader of the validation frames."""
         return self._loader(self.frames.validation, ValidationOrder(len(self.frames.validation), self._share()), False)
 
     def _order(self, share: Share) -> TrainingOrder:
-        return TrainingOrder(len(self.frames.train), self.take, self.config.seed, share)
+        return TrainingOrder(len(self.frames.train), self.frames_per_epoch, self.config.seed, share)
 
     def _share(self) -> Share:
         return Share(self.trainer.global_rank, self.world) if self.trainer is not None else Share(0, self.world)
@@ -231,7 +231,7 @@ class Loaders(L.LightningDataModule):
 
 
 class _HistoryTable(Callback):
-    """Writes the history after every epoch."""
+    """Writes the history table after every epoch."""
 
     def __init__(self, out: Path) -> None:
         self.out = out
@@ -242,7 +242,7 @@ class _HistoryTable(Callback):
 
 
 def _build_trainer(config: TrainConfig, out: Path, machines: Machines) -> L.Trainer:
-    several = machines.devices * machines.nodes > 1
+    multiple_processes = machines.devices * machines.nodes > 1
     launched = machines.nodes > 1 or int(os.environ.get("WORLD_SIZE", "1")) > 1
     checkpoints = ModelCheckpoint(
         out, Path(CHECKPOINT).stem, save_top_k=1, save_on_train_epoch_end=True, enable_version_counter=False
@@ -250,7 +250,7 @@ def _build_trainer(config: TrainConfig, out: Path, machines: Machines) -> L.Trai
     stop = EarlyStopping("validation_loss", patience=config.patience, check_on_train_epoch_end=True)
     return L.Trainer(
         accelerator="cuda" if machines.device == "cuda" else "cpu", devices=machines.devices, num_nodes=machines.nodes,
-        strategy=("ddp" if launched else "ddp_spawn") if several else "auto",
+        strategy=("ddp" if launched else "ddp_spawn") if multiple_processes else "auto",
         precision="bf16-mixed" if config.precision == "bf16" else "32-true", max_epochs=config.epochs,
         callbacks=[stop, checkpoints, _HistoryTable(out)], plugins=[AtomicCheckpoints()], default_root_dir=out,
         use_distributed_sampler=False, num_sanity_val_steps=0, logger=False, enable_progress_bar=False,
@@ -259,7 +259,7 @@ def _build_trainer(config: TrainConfig, out: Path, machines: Machines) -> L.Trai
 
 
 def _run(trainer: L.Trainer, learner: Learner, loaders: Loaders, last: str | None) -> None:
-    """Fit; what other processes and workers raise becomes one line, and Lightning's end by Ctrl-C an interrupt."""
+    """Fit; errors of other processes and workers become one line, Lightning's SystemExit a KeyboardInterrupt."""
     try:
         trainer.fit(learner, loaders, ckpt_path=last)
     except SystemExit as error:
@@ -278,7 +278,7 @@ def _run(trainer: L.Trainer, learner: Learner, loaders: Loaders, last: str | Non
 
 
 def _finish(config: TrainConfig, out: Path) -> list[Epoch]:
-    """Return the history in a folder; make weights, table and picture of it where they are not there yet."""
+    """Return the history in a folder; write weights, history table and learning curves if they are missing."""
     from viewshed_lab.training.figures import curve_figure
     from viewshed_lab.training.onnx_export import export_onnx
 

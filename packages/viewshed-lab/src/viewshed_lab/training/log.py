@@ -1,4 +1,4 @@
-"""The files, progress and history of a training: one record an epoch, whether it is finished. Needs no torch."""
+"""Files, progress and history of a training, one record per epoch. Needs no torch."""
 
 from __future__ import annotations
 
@@ -20,28 +20,29 @@ from viewshed_lab._config import Between, Checked, OneOf
 from viewshed_lab._jobs import J, LocalEngine
 from viewshed_lab.training.config import TrainConfig
 
-_FULL = (errno.ENOSPC, errno.EDQUOT)
+_DISK_FULL = (errno.ENOSPC, errno.EDQUOT)
 
 CHECKPOINT, WEIGHTS, STATE, HISTORY, CURVES = "last.ckpt", "network.onnx", "network.pt", "history.csv", "curves.png"
-"""What a training leaves in its folder."""
+"""Files that a training writes to its folder."""
 
 
 @dataclass(frozen=True, slots=True)
 class Machines(Checked):
-    """What a training runs on: ``cpu`` or ``cuda``, processes or graphics cards of each machine, and machines."""
+    """Hardware of a training."""
 
     device: Annotated[str, OneOf(("cpu", "cuda"))] = "cpu"
-    devices: Annotated[int, Between(1)] = 1
-    nodes: Annotated[int, Between(1)] = 1
+    devices: Annotated[int, Between(1)] = 1  # processes or GPUs per machine
+    nodes: Annotated[int, Between(1)] = 1  # machines
 
 
 def save(path: Path, content: bytes) -> None:
-    """Write a file, whole or not at all; one that exists is replaced, or stays where an OSError is raised."""
+    """Write or replace a file atomically; on an OSError an existing file is kept."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         write_atomic(path, content)
     except OSError as error:
-        what = "the disk is full; free some space" if error.errno in _FULL else f"{error.strerror or error}; mend that"
+        full = error.errno in _DISK_FULL
+        what = "the disk is full; free some space" if full else f"{error.strerror or error}; mend that"
         named = type(error)(f"{path}: {what} and start the same command again, it goes on from the last whole epoch")
         named.errno = error.errno
         raise named from error
@@ -50,10 +51,10 @@ def save(path: Path, content: bytes) -> None:
 def build_files(
     work: Callable[[J], int], folder: Path, jobs: Sequence[J], workers: int, on_progress: Callable[[int], None] | None
 ) -> None:
-    """Run jobs that each write a file into a folder and return how many frames it holds, in ``workers`` processes.
+    """Run jobs in ``workers`` processes; each writes one file into ``folder`` and returns its number of frames.
 
     Raises:
-        OSError: a job failed; files that are finished stay.
+        OSError: a job failed; finished files are kept.
     """
     if jobs:
         folder.mkdir(parents=True, exist_ok=True)
@@ -66,7 +67,7 @@ def build_files(
 
 
 def write_array(path: Path, rows: NDArray[np.uint8]) -> None:
-    """Write an array as NPY, whole or not at all."""
+    """Write an array as an NPY file, atomically."""
     buffer = io.BytesIO()
     np.save(buffer, rows)
     write_atomic(path, buffer.getvalue())
@@ -74,20 +75,20 @@ def write_array(path: Path, rows: NDArray[np.uint8]) -> None:
 
 @lru_cache(maxsize=4096)
 def mapped_array(path: Path) -> NDArray[np.uint8]:
-    """Return an array of :func:`write_array`, mapped into memory: all processes share one copy in the page cache."""
+    """Memory-map an array that :func:`write_array` wrote: all processes share one copy in the page cache."""
     rows: NDArray[np.uint8] = np.load(path, mmap_mode="r")
     return rows
 
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """How far a training is."""
+    """Progress of a training."""
 
-    stage: str  # ``train``, ``validate``, or what is prepared before
+    stage: str  # ``train``, ``validate``, or the preparation stage before them
     epoch: int  # number, from 1; 0 before the first
-    epochs: int  # at most
-    done: int  # batches or frames of the stage that are done
-    total: int  # how many there are
+    epochs: int  # maximum
+    done: int  # finished batches or frames of the stage
+    total: int  # batches or frames of the stage
     loss: float  # of the last batch
 
 
@@ -96,24 +97,24 @@ OnProgress = Callable[[Step], None]
 
 @dataclass(frozen=True, slots=True)
 class Epoch:
-    """One epoch."""
+    """Losses, validation scores and times of one epoch. Scores count the cells with known truth."""
 
     number: int  # from 1
-    train_loss: float  # mean over the frames it showed, while the weights changed
-    validation_loss: float  # over the frames that validate, without dropout
-    precision: float  # of the cells called visible there, the share that is
-    recall: float  # of the visible cells there, the share that is called so
-    f1: float  # harmonic mean of these two
-    iou: float  # cells both called and truly visible, of those that are either
-    accuracy: float  # share of cells that are called what they are
-    learning_rate: float  # at its end
-    seconds: float  # that it took
-    frames_per_s: float  # frames trained on in a second of training, waiting counted, validation not
-    network_share: float  # share of training and validation in which the network ran, not waiting for frames
+    train_loss: float  # mean over the training frames, while the weights changed
+    validation_loss: float  # over the validation frames, without dropout
+    precision: float  # truly visible share of the cells predicted visible
+    recall: float  # share of the truly visible cells that are predicted visible
+    f1: float  # harmonic mean of precision and recall
+    iou: float  # cells predicted and truly visible, over cells predicted or truly visible
+    accuracy: float  # share of the cells predicted correctly
+    learning_rate: float  # at the end of the epoch
+    seconds: float  # duration
+    frames_per_s: float  # training frames per second of training, including waits, without validation
+    network_share: float  # share of training and validation time in which the network ran
 
 
 TIMES = ("seconds", "frames_per_s", "network_share")
-"""Measured times: another run of the same config has others."""
+"""Fields of measured times, which differ between runs of the same config."""
 
 
 def best_of(history: Sequence[Epoch]) -> Epoch:
@@ -122,14 +123,14 @@ def best_of(history: Sequence[Epoch]) -> Epoch:
 
 
 def is_finished(history: Sequence[Epoch], config: TrainConfig) -> bool:
-    """Return whether training has ended: all epochs done, or ``patience`` of them without a lower validation loss."""
+    """Return whether all epochs are done, or the last ``patience`` of them did not lower the validation loss."""
     if not history:
         return False
     return len(history) >= config.epochs or len(history) - best_of(history).number >= config.patience
 
 
 def csv_of(history: Sequence[Epoch]) -> str:
-    """Return a history as a table with commas, one epoch a line."""
+    """Return a history as CSV, one line per epoch."""
     buffer = io.StringIO()
     writer = csv.DictWriter(buffer, [item.name for item in fields(Epoch)], lineterminator="\n")
     writer.writeheader()
@@ -138,17 +139,20 @@ def csv_of(history: Sequence[Epoch]) -> str:
 
 
 def scores_of(counts: Sequence[float]) -> dict[str, float]:
-    """Return the scores of cells: true and false positives, false and true negatives; 0 where there is nothing.
+    """Return the scores of confusion counts; a score without any cells is 0.
+
+    Args:
+        counts: true positives, false positives, false negatives, true negatives.
 
     >>> scores_of([6, 2, 1, 11])["f1"]
     0.8
     """
-    hit, over, missed, right = counts
-    shares = {
-        "precision": (hit, hit + over),
-        "recall": (hit, hit + missed),
-        "f1": (2 * hit, 2 * hit + over + missed),
-        "iou": (hit, hit + over + missed),
-        "accuracy": (hit + right, hit + over + missed + right),
+    tp, fp, fn, tn = counts
+    ratios = {
+        "precision": (tp, tp + fp),
+        "recall": (tp, tp + fn),
+        "f1": (2 * tp, 2 * tp + fp + fn),
+        "iou": (tp, tp + fp + fn),
+        "accuracy": (tp + tn, tp + fp + fn + tn),
     }
-    return {name: part / whole if whole else 0.0 for name, (part, whole) in shares.items()}
+    return {name: part / whole if whole else 0.0 for name, (part, whole) in ratios.items()}

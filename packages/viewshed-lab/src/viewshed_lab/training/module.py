@@ -18,7 +18,7 @@ from viewshed_lab.training.log import Epoch, OnProgress, Step, best_of, scores_o
 from viewshed_lab.training.unet_torch import UNet
 
 FORMAT = 1
-"""Version of what a checkpoint holds beside Lightning's own."""
+"""Version of our entry in a checkpoint."""
 
 KEY = "viewshed"
 _LAST_RATE = 0.01
@@ -27,7 +27,7 @@ Batch = dict[str, Tensor]
 
 
 class Learner(L.LightningModule):
-    """Fits a U-Net to frames, ``steps`` an epoch; checkpoints hold its history and the weights of the best epoch."""
+    """Fits a U-Net, ``steps`` batches per epoch; checkpoints hold its history and the weights of the best epoch."""
 
     def __init__(self, config: TrainConfig, steps: int, on_progress: OnProgress | None = None) -> None:
         super().__init__()
@@ -42,7 +42,7 @@ class Learner(L.LightningModule):
         self._cells = torch.zeros(6, dtype=torch.float64)
 
     def loss(self, logits: Tensor, batch: Batch) -> Tensor:
-        """Return the config's loss over the cells whose truth is known."""
+        """Return the config's loss over the cells with known truth."""
         visible, known = batch["visible"], batch["known"]
         logits = logits[:, 0].float()
         cells = functional.binary_cross_entropy_with_logits(logits, visible, reduction="none") * known
@@ -65,14 +65,15 @@ class Learner(L.LightningModule):
         return {"optimizer": optimizer, "lr_scheduler": {"scheduler": cosine, "interval": "step"}}
 
     def on_train_epoch_start(self) -> None:
-        """Begin to count."""
+        """Reset the timers and the sum of the loss."""
         self._began_s, self._busy_s = time.perf_counter(), 0.0
         self._train = torch.zeros(2, device=self.device)
 
     def on_train_batch_start(self, batch: Batch, batch_idx: int) -> None:
-        """Begin to measure a step. In the very first, batch normalization takes over the statistics of the batch.
+        """Start the timer of a step. In the very first step, batch normalization copies the statistics of the batch.
 
-        They begin as 0 and 1, and a cell's count / 1000 has a variance near 1e-6: it would take hundreds of steps.
+        They start at mean 0 and variance 1, but a cell's count / 1000 has a variance near 1e-6: the running average
+        would need hundreds of steps.
         """
         self._step_s = time.perf_counter()
         for module in self.network.modules():
@@ -87,42 +88,42 @@ class Learner(L.LightningModule):
         return loss
 
     def on_train_batch_end(self, outputs: Any, batch: Batch, batch_idx: int) -> None:
-        """End a step and report it."""
+        """Stop the timer of a step and report progress."""
         self._end_step()
         self._train_s = time.perf_counter() - self._began_s
         self._report("train", batch_idx + 1, self.trainer.num_training_batches, float(outputs["loss"]))
 
     def on_validation_epoch_start(self) -> None:
-        """Begin to count."""
+        """Reset the sums over cells: loss, known cells, and the four confusion counts."""
         self._cells = torch.zeros(6, dtype=torch.float64, device=self.device)
 
     def on_validation_batch_start(self, batch: Batch, batch_idx: int, dataloader_idx: int = 0) -> None:
-        """Begin to measure a step."""
+        """Start the timer of a step."""
         self._step_s = time.perf_counter()
 
     def validation_step(self, batch: Batch, batch_idx: int) -> None:
-        """Count the cells of a batch; dropout is off."""
+        """Add the loss and the confusion counts of a batch; dropout is off."""
         logits = self._logits(batch | {"masks": torch.ones_like(batch["masks"])})[:, 0].float()
         visible, known = batch["visible"] > 0, batch["known"] > 0
         cells = functional.binary_cross_entropy_with_logits(logits, batch["visible"], reduction="none")
-        called = torch.sigmoid(logits) >= self.config.threshold
-        masks = (called & visible, called & ~visible, ~called & visible, ~called & ~visible)
+        predicted = torch.sigmoid(logits) >= self.config.threshold
+        masks = (predicted & visible, predicted & ~visible, ~predicted & visible, ~predicted & ~visible)
         counts = [(mask & known).sum() for mask in masks]
         self._cells += torch.stack([(cells * known).sum(dtype=torch.float64), known.sum(), *counts]).double()
 
     def on_validation_batch_end(self, outputs: Any, batch: Batch, batch_idx: int, dataloader_idx: int = 0) -> None:
-        """End a step and report it."""
+        """Stop the timer of a step and report progress."""
         self._end_step()
         total = self.trainer.num_val_batches
         self._report("validate", batch_idx + 1, total[0] if isinstance(total, list) else total, float("nan"))
 
     def on_validation_epoch_end(self) -> None:
-        """Log the loss over all processes."""
+        """Log the mean loss over all processes."""
         self._cells = self._summed(self._cells)
         self.log("validation_loss", self._cells[0] / self._cells[1].clamp(min=1.0), rank_zero_only=False)
 
     def on_train_epoch_end(self) -> None:
-        """Add the epoch to the history; keep its weights if it is the best."""
+        """Add the epoch to the history; keep its weights if it is the best so far."""
         loss, known, *counts = (float(value) for value in self._cells.cpu())
         trained, frames = (float(value) for value in self._summed(self._train).cpu())
         if not math.isfinite(trained + loss):
@@ -141,12 +142,12 @@ class Learner(L.LightningModule):
             self.best = {name: value.detach().cpu().clone() for name, value in self.network.state_dict().items()}
 
     def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
-        """Add our entry: config, version, history, weights of the best epoch."""
+        """Add our entry: format, version, config, history, weights of the best epoch."""
         about = {"format": FORMAT, "version": viewshed.__version__, "config": self.config.to_json()}
         checkpoint[KEY] = about | {"history": [asdict(epoch) for epoch in self.history], "best": self.best}
 
     def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
-        """Take over history and best weights."""
+        """Restore the history and the best weights."""
         self.history = [Epoch(**table) for table in checkpoint[KEY]["history"]]
         self.best = checkpoint[KEY]["best"]
 

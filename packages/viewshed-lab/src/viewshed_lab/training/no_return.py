@@ -1,9 +1,9 @@
-"""A network that guesses how far beams without a return went: samples and the fit.
+"""Fit a network that estimates how far beams without a return went: samples and model.
 
-The samples are beams of simulated sweeps that did not return, with the exact range at which each was stopped. The
-network mixes explanations: each stop that the core proposes
-(:func:`viewshed.preprocess.no_return.no_return_groups`), something unseen at its own range, and nothing. It is fitted
-by the likelihood of the exact ranges.
+Samples are no-return beams of simulated sweeps, with the exact range at which each was stopped. The network is a
+mixture of explanations: each stop that the core proposes
+(:func:`viewshed.preprocess.no_return.no_return_groups`), an unseen object at a range of its own, and free space. It is
+fitted by maximum likelihood of the exact ranges.
 """
 
 from __future__ import annotations
@@ -27,25 +27,26 @@ from viewshed.preprocess.no_return import no_return_groups
 from viewshed_lab.data.wild import WildObservation
 
 LOG_NONE = 8.0
-"""Logarithm (base 2) of the range of a stop that is not there."""
+"""Logarithm (base 2) of the range that stands for no stop."""
 
-MOST_DEVIATIONS = 6.0
+MAX_DEVIATIONS = 6.0
+"""Standardized features are clipped to ± this."""
 
 ARRAYS = ("mean", "scale", "first", "first_bias", "second", "second_bias", "third", "third_bias")
-"""Of the network as the core has it."""
+"""Names of the network's arrays in the core."""
 
-_MOST_ANGLE = np.deg2rad(1.0)
-"""Groups whose next exact beam points elsewhere by more than this are left out."""
+_MAX_ANGLE = np.deg2rad(1.0)
+"""Groups whose nearest exact beam differs in direction by more than this are left out."""
 
 
 class Samples(NamedTuple):
-    """G groups of beams without a return.
+    """G groups of no-return beams.
 
     Attributes:
-        feature: (G, F) float32 of the core.
-        stop: (G, S) float32 logarithms (base 2) of the ranges of stops; ``LOG_NONE`` for none.
-        end: (G,) float32 logarithm of the exact range, ``LOG_NONE`` where nothing stopped the beam.
-        beams: (G,) beams of each group.
+        feature: (G, F) float32 features of the core.
+        stop: (G, S) float32 log2 of the stops' ranges; ``LOG_NONE`` for no stop.
+        end: (G,) float32 log2 of the exact range; ``LOG_NONE`` where nothing stopped the beam.
+        beams: (G,) int32 number of beams of each group.
     """
 
     feature: F32
@@ -57,13 +58,13 @@ class Samples(NamedTuple):
 def samples_of(
     seen: WildObservation, leveled: LeveledSweep, windows: NDArray[np.float64], cover_m: float | None
 ) -> Samples | None:
-    """Return the groups of a sweep with their exact ends; None where its pixels are no beams.
+    """Return the groups of a sweep with their exact ends, or None if pixels of its range image are not beams.
 
     Args:
-        seen: the sweep and all that the simulator knows of it.
-        leveled: the sweep, less some returns.
-        windows: (W, 4) in which the sensor was made blind, see :func:`within_windows`.
-        cover_m: range at which something covers it there; None where its beams say nothing, and count as ended at once.
+        seen: the sweep and the simulator's truth.
+        leveled: the sweep, with some returns removed.
+        windows: (W, 4) directions in which the sensor was blinded, see :func:`within_windows`.
+        cover_m: range of a cover in these windows; None blinds the sensor, and its beams there count as ended at once.
     """
     groups = no_return_groups(leveled, CAR.height_m)
     if groups is None:
@@ -73,43 +74,43 @@ def samples_of(
     fired = np.ones(scan.depth_m.shape, np.bool_) if scan.model.fired is None else scan.model.fired
     turn = (leveled.level_from_sensor.rotation @ scan.world_from_sensor.rotation.T).astype(np.float32)
     direction = scan.direction[fired] @ turn.T
-    # The next exact beam, and where that was stopped.
-    own = np.stack([np.cos(azimuth), np.sin(azimuth), slope], axis=1)
-    own /= np.linalg.norm(own, axis=1, keepdims=True)
-    apart, at = cKDTree(direction).query(own)
+    # Find the nearest exact beam of each group, and where it was stopped.
+    group_direction = np.stack([np.cos(azimuth), np.sin(azimuth), slope], axis=1)
+    group_direction /= np.linalg.norm(group_direction, axis=1, keepdims=True)
+    difference, at = cKDTree(direction).query(group_direction)
     depth_m = scan.depth_m[fired][at]
     stopped = np.isfinite(depth_m)
-    place = scan.origin_m[fired][at] @ turn.T + direction[at] * np.where(stopped, depth_m, 0.0)[:, None]
-    log_m = np.log2(np.maximum(np.hypot(place[:, 0], place[:, 1]), 0.5))
+    stop_m = scan.origin_m[fired][at] @ turn.T + direction[at] * np.where(stopped, depth_m, 0.0)[:, None]
+    log_m = np.log2(np.maximum(np.hypot(stop_m[:, 0], stop_m[:, 1]), 0.5))
     end = np.where(stopped, np.minimum(log_m, LOG_NONE - 0.01), LOG_NONE).astype(np.float32)
-    # Where the sensor was made blind, beams that would have returned end at once; where it is covered, all end there.
-    back = own @ leveled.level_from_sensor.rotation
-    inside = within_windows(np.arctan2(back[:, 1], back[:, 0]), np.arcsin(np.clip(back[:, 2], -1, 1)), windows)
+    # In windows: where the sensor was blinded, beams that would have returned end at once; at a cover all beams end.
+    raw = group_direction @ leveled.level_from_sensor.rotation
+    inside = within_windows(np.arctan2(raw[:, 1], raw[:, 0]), np.arcsin(np.clip(raw[:, 2], -1, 1)), windows)
     if cover_m is None:
         end[inside & stopped] = -1.0
     else:
         end[inside] = np.minimum(end[inside], np.float32(np.log2(cover_m)))
-    keep = (beams > 0) & (apart < _MOST_ANGLE)
+    keep = (beams > 0) & (difference < _MAX_ANGLE)
     return Samples(feature[keep], stop[keep], end[keep], beams[keep])
 
 
 def within_windows(azimuth: NDArray[np.float64], elevation: NDArray[np.float64], windows: NDArray[np.float64]) -> Mask:
-    """Return which directions (N,) lie in one of the windows (W, 4): azimuth, elevation, half of its size in both."""
+    """Return which directions (N,) lie in a window; windows (W, 4) are center azimuth and elevation, and half sizes."""
     inside = np.zeros(len(azimuth), np.bool_)
-    for middle, high, wide, tall in windows:
-        off = np.abs((azimuth - middle + np.pi) % (2 * np.pi) - np.pi)
-        inside |= (off <= wide) & (np.abs(elevation - high) <= tall)
+    for center_azimuth, center_elevation, half_width, half_height in windows:
+        difference = np.abs((azimuth - center_azimuth + np.pi) % (2 * np.pi) - np.pi)
+        inside |= (difference <= half_width) & (np.abs(elevation - center_elevation) <= half_height)
     return inside
 
 
 class NoReturnNet(nn.Module):
-    """Three layers on standardized features (B, F); outputs (B, S + 4) are those of the core.
+    """Three layers on standardized features (B, F); outputs (B, S + 4) in the order of the core.
 
     Args:
-        mean: (F,) of the features.
-        scale: (F,) one over their deviation.
-        stops: how many the core proposes.
-        units: of the hidden layers.
+        mean: (F,) mean of the features.
+        scale: (F,) inverse of their standard deviation.
+        stops: S, the number of stops that the core proposes.
+        units: number of units of each hidden layer.
     """
 
     mean: Tensor
@@ -127,12 +128,12 @@ class NoReturnNet(nn.Module):
 
     def forward(self, feature: Tensor) -> Tensor:
         """Return outputs (B, S + 4) for features (B, F)."""
-        inputs = ((feature - self.mean) * self.scale).clamp(-MOST_DEVIATIONS, MOST_DEVIATIONS)
+        inputs = ((feature - self.mean) * self.scale).clamp(-MAX_DEVIATIONS, MAX_DEVIATIONS)
         outputs: Tensor = self.layers(inputs)
         return outputs
 
     def arrays(self) -> dict[str, F32]:
-        """Return the arrays of the core's network."""
+        """Return the weights as the arrays of the core's network, by name."""
         linear = [layer for layer in self.layers if isinstance(layer, nn.Linear)]
         flat: list[Tensor] = [self.mean, self.scale]
         for layer in linear:
@@ -145,35 +146,35 @@ class NoReturnNet(nn.Module):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Mixture:
-    """Where beams may have ended, (B, S + 1) log probabilities, centers and mean deviations; and of no end (B,)."""
+    """Laplace mixture over the log2 ranges at which B beams ended: S stops and one unseen object, or free space."""
 
-    log_share: Tensor
-    center: Tensor
-    spread: Tensor
-    log_free: Tensor
+    log_share: Tensor  # (B, S + 1) log probability of each component
+    center: Tensor  # (B, S + 1) log2 of its range
+    spread: Tensor  # (B, S + 1) mean absolute deviation
+    log_free: Tensor  # (B,) log probability that nothing stopped the beam
 
     @classmethod
     def of(cls, net: NoReturnNet, feature: Tensor, stop: Tensor) -> Mixture:
-        """Return the mixture of features (B, F) and stops (B, S)."""
+        """Return the mixture that ``net`` gives for features (B, F) and stops (B, S)."""
         outputs, count = net(feature), net.stops
-        there = stop < LOG_NONE
-        logits = torch.cat([outputs[:, :count].masked_fill(~there, -30.0), outputs[:, count : count + 2]], 1)
+        exists = stop < LOG_NONE
+        logits = torch.cat([outputs[:, :count].masked_fill(~exists, -30.0), outputs[:, count : count + 2]], 1)
         log_share = functional.log_softmax(logits, 1)
         center = torch.cat([stop, outputs[:, count + 2 : count + 3]], 1)
         unseen = torch.exp(outputs[:, count + 3 :].clamp(-3.0, 1.5))
         spread = torch.cat([torch.exp(net.log_spread.clamp(-5.0, 0.0)).expand_as(stop), unseen], 1)
-        # The order of the core: stops, free, unseen.
+        # The core's order is stops, free, unseen.
         share = torch.cat([log_share[:, :count], log_share[:, count + 1 :]], 1)
         return cls(share, center, spread, log_share[:, count])
 
     def log_likelihood(self, end: Tensor) -> Tensor:
-        """Return the logarithm (B,) of the density of ends (B,), or of the probability of none."""
+        """Return the log density (B,) of ends (B,), or the log probability of free space where there is no end."""
         deviation = (end[:, None] - self.center).abs() / self.spread
         density = torch.logsumexp(self.log_share - torch.log(2 * self.spread) - deviation, 1)
         return torch.where(end >= LOG_NONE, self.log_free, density)
 
     def survival(self, log_m: Tensor) -> Tensor:
-        """Return the probability (B, K) that beams went beyond ranges (K,)."""
+        """Return the probability (B, K) that beams went beyond log2 ranges (K,)."""
         u = (log_m[None, :, None] - self.center[:, None]) / self.spread[:, None]
         tail = 0.5 * torch.exp(-u.abs())
         beyond = torch.where(u < 0, 1 - tail, tail)
@@ -181,20 +182,20 @@ class Mixture:
 
 
 def source_of(arrays: Mapping[str, F32]) -> str:
-    """Return the numbers of a network as C++, which is compiled into the core."""
+    """Return the arrays of a network as C++ source, which is compiled into the core."""
     rows = []
     for name, array in arrays.items():
         numbers = [f"{value:.9g}" for value in array.ravel().tolist()]
-        numbers = [word if set(word) & set(".en") else f"{word}.0" for word in numbers]
-        lines = [", ".join(f"{word}f" for word in numbers[k : k + 12]) for k in range(0, len(numbers), 12)]
+        numbers = [literal if set(literal) & set(".en") else f"{literal}.0" for literal in numbers]
+        lines = [", ".join(f"{literal}f" for literal in numbers[k : k + 12]) for k in range(0, len(numbers), 12)]
         rows.append(f"static const float {name.upper()}[] = {{\n" + ",\n".join(lines) + "};\n")
     return "".join(rows)
 
 
 def arrays_of(source: str) -> dict[str, F32]:
-    """Return the network that :func:`source_of` wrote."""
-    found = re.findall(r"float (\w+)\[\] = \{([^}]*)\}", source)
-    arrays = {name.lower(): np.array(numbers.replace("f", "").split(","), np.float32) for name, numbers in found}
+    """Return the arrays that :func:`source_of` wrote."""
+    matches = re.findall(r"float (\w+)\[\] = \{([^}]*)\}", source)
+    arrays = {name.lower(): np.array(numbers.replace("f", "").split(","), np.float32) for name, numbers in matches}
     for layer in ("first", "second", "third")[: len(arrays) // 2 - 1]:
         arrays[layer] = arrays[layer].reshape(-1, len(arrays[f"{layer}_bias"]))
     return arrays

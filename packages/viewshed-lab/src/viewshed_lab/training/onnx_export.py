@@ -1,4 +1,4 @@
-"""From a trained U-Net to one ONNX file that runs without torch: the dropout masks stay an input of the graph."""
+"""Export a trained U-Net to one ONNX file that runs without torch; dropout masks stay an input of the graph."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ _OPSET, _IR = 17, 9
 
 
 def export_onnx(path: str | Path, card: NetworkCard, module: UNet) -> None:
-    """Write ``module`` to a new ONNX file: inputs ``inputs`` and ``masks``, output ``probability``, and the card.
+    """Write ``module`` and its card to a new ONNX file with inputs ``inputs`` and ``masks``, output ``probability``.
 
     ``inputs`` (1 or N, 1, cells, cells) and ``masks`` (N, M) give (N, cells, cells). Batch normalization is
-    folded into the convolutions. One input is enough for N masks: what comes before the first mask (encoder stages 1
-    and 2) and the half of the last decoder stage that reads stage 1 are computed once, exactly, by linearity.
+    folded into the convolutions. With one input and N masks, the layers before the first mask (encoder stages 1 and 2)
+    and the half of the last decoder stage that reads stage 1 run only once; by linearity the result is exact.
     """
     if module.shape != card.shape:
         raise ValueError(f"module must have the card's shape {card.shape}, got {module.shape}")
@@ -54,7 +54,7 @@ def onnx_model(card: NetworkCard, module: UNet) -> onnx.ModelProto:
 
 @dataclass(slots=True)
 class _Graph:
-    """Nodes and constants in the making; every method returns the name of what its nodes give."""
+    """Nodes and constants so far; every method adds nodes and returns the name of their output."""
 
     nodes: list[onnx.NodeProto] = field(default_factory=list)
     constants: list[onnx.TensorProto] = field(default_factory=list)
@@ -93,7 +93,7 @@ class _Graph:
         return self.stage(stage, self.node("Concat", [x, skip], axis=1))
 
     def split_stage(self, stage: Stage, x: str, skip: str) -> str:
-        """As ``joined``, with the convolution of the skip, which no mask touches, apart from that of ``x``."""
+        """As ``joined``, but convolve the unmasked skip separately from ``x``, so that it runs only once."""
         weight, bias = with_norm(stage.conv1, stage.norm1)
         half = weight.shape[1] // 2
         shared = self.conv(skip, weight[:, half:], bias)
@@ -126,7 +126,7 @@ def _stage(module: nn.Module) -> Stage:
 
 
 def with_norm(conv: nn.Conv2d, norm: nn.BatchNorm2d) -> tuple[Tensor, Tensor]:
-    """Return weight and bias of a convolution with the batch normalization after it folded in."""
+    """Fold batch normalization into the convolution before it; return the new weight and bias."""
     assert norm.running_mean is not None
     assert norm.running_var is not None
     scale = norm.weight / torch.sqrt(norm.running_var + norm.eps)

@@ -1,14 +1,14 @@
 """Post-training static quantization (Jacob et al. 2018, Krishnamoorthi 2018) of an exported network to int8.
 
-1. Rewrite the graph channels last, without the operators that eight-bit engines run badly: :func:`to_channels_last`.
-2. Calibrate: the smallest and the largest value of every activation over sweeps, with dropout off and on (min-max).
+1. Rewrite the graph channels last, without operators that int8 engines run slowly: :func:`to_channels_last`.
+2. Calibrate: minimum and maximum of every activation over sweeps, with dropout off and on (min-max).
 3. Quantize: activations per tensor, asymmetric uint8; weights per output channel, symmetric int8; biases int32 in units
-   of input scale times weight scale. The first layer reads the uint8 counts as they are; the head's last layer
+   of input scale times weight scale. The first layer reads the uint8 counts directly; the head's last layer
    and the sigmoid stay in float32.
-4. Correct the biases, layer by layer, by what rounding adds to a channel on average (Nagel et al. 2019, section 4.2):
-   cells without returns are alike, so that the errors of all layers add up in most cells at once.
-5. Write it in QDQ format: every operator is in float32 between DequantizeLinear and QuantizeLinear. Any ONNX engine
-   computes the same; one that knows the pattern fuses it and multiplies bytes.
+4. Correct the biases, layer by layer, by the mean rounding error of each channel (Nagel et al. 2019, section 4.2).
+   Most cells have no returns and equal activations, so without it the errors of all layers would add up there.
+5. Write the graph in QDQ format: every operator is in float32 between DequantizeLinear and QuantizeLinear. All ONNX
+   engines compute the same result; an engine that knows the pattern fuses it and multiplies int8.
 """
 
 from __future__ import annotations
@@ -31,13 +31,13 @@ from viewshed.networks.weights import CARD_KEY, verify_checksum, with_checksum
 
 @dataclass(slots=True, eq=False)
 class ChannelsLastGraph:
-    """Nodes and constants of a network that takes ``inputs`` (N, cells, cells, 1), channels last.
+    """Nodes and constants of a network with input ``inputs`` (N, cells, cells, 1), channels last.
 
-    Transposed convolutions 2 × 2 are convolutions 1 × 1 whose channels become cells by moving whole rows.
+    A 2 × 2 transposed convolution becomes a 1 × 1 convolution; whole rows of its channels then move to new cells.
     """
 
     card: NetworkCard  # of the network
-    nodes: list[onnx.NodeProto] = field(default_factory=list)  # in an order in which they can run
+    nodes: list[onnx.NodeProto] = field(default_factory=list)  # in topological order
     constants: dict[str, NDArray[Any]] = field(default_factory=dict)  # by name
 
     def constant(self, name: str, value: NDArray[np.generic]) -> str:
@@ -46,16 +46,16 @@ class ChannelsLastGraph:
         return name
 
     def add(self, kind: str, inputs: list[str], output: str, **settings: Any) -> str:
-        """Add a node that is called as what it gives, and return that name."""
+        """Add a node with the name of its output, and return that name."""
         self.nodes.append(helper.make_node(kind, inputs, [output], output, **settings))
         return output
 
 
 def to_channels_last(model: onnx.ModelProto, card: NetworkCard) -> ChannelsLastGraph:
-    """Return the graph of a model that :func:`viewshed_lab.training.onnx_export.export_onnx` wrote, rewritten.
+    """Rewrite a model that :func:`viewshed_lab.training.onnx_export.export_onnx` wrote; return the new graph.
 
-    The first encoder stage and the last decoder stage run on blocks of 2 × 2 cells: they have so few channels that four
-    times the products, of longer rows, take half of the time.
+    The first encoder stage and the last decoder stage run on blocks of 2 × 2 cells: with their few channels, four times
+    the products in longer rows take half the time.
     """
     graph = ChannelsLastGraph(card)
     graph.constants = {tensor.name: numpy_helper.to_array(tensor) for tensor in model.graph.initializer}
@@ -94,13 +94,13 @@ def to_channels_last(model: onnx.ModelProto, card: NetworkCard) -> ChannelsLastG
 
 
 def _needed_nodes(model: onnx.ModelProto) -> list[onnx.NodeProto]:
-    """Return the nodes that the probability is computed by: older files may have a second head, which is left out."""
-    needed, found = {"probability"}, list[onnx.NodeProto]()
+    """Return the nodes that compute the probability; older files may have a second head, which is dropped."""
+    needed, nodes = {"probability"}, list[onnx.NodeProto]()
     for node in reversed(model.graph.node):
         if not needed.isdisjoint(node.output):
             needed.update(node.input)
-            found.append(node)
-    return found[::-1]
+            nodes.append(node)
+    return nodes[::-1]
 
 
 def _copy_node(graph: ChannelsLastGraph, node: onnx.NodeProto) -> None:
@@ -111,21 +111,21 @@ def _copy_node(graph: ChannelsLastGraph, node: onnx.NodeProto) -> None:
 
 
 def _rewrite_conv(graph: ChannelsLastGraph, node: onnx.NodeProto, x: str, in_blocks: bool) -> None:
-    """Add what a convolution 3 × 3 of ``x`` does, on cells or on blocks of 2 × 2 cells."""
-    name, (weight, *bias) = node.output[0], [graph.constants[each] for each in node.input[1:]]
-    if x == "blocks":  # of bytes / 255
+    """Add a 3 × 3 convolution of ``x``, on cells or on blocks of 2 × 2 cells."""
+    output, (weight, *biases) = node.output[0], [graph.constants[name] for name in node.input[1:]]
+    if x == "blocks":  # of uint8 / 255
         weight = weight * graph.card.most_shown
     if in_blocks:
-        weight, bias = weight_in_blocks(weight), [np.tile(each, 4) for each in bias]
-    constants = [graph.constant(f"{name}_weight", weight), *(graph.constant(f"{name}_bias", each) for each in bias)]
-    graph.add("Conv", [x, *constants], name, kernel_shape=[3, 3], pads=[1, 1, 1, 1])
+        weight, biases = weight_in_blocks(weight), [np.tile(bias, 4) for bias in biases]
+    constants = [graph.constant(f"{output}_weight", weight), *(graph.constant(f"{output}_bias", b) for b in biases)]
+    graph.add("Conv", [x, *constants], output, kernel_shape=[3, 3], pads=[1, 1, 1, 1])
 
 
 def _rewrite_product(graph: ChannelsLastGraph, node: onnx.NodeProto, side: int, mask: str, channels: int) -> None:
     """Add the product of maps (N, channels, side, side) and a mask (N, channels).
 
-    It is one of whole rows of cells, the mask repeated along them: products of a few channels each are ten times as
-    slow.
+    It multiplies whole rows of cells, with the mask repeated along them: products of a few channels are ten times
+    slower.
     """
     name = node.output[0]
     row = graph.add("Concat", [mask] * side, f"{name}_repeated", axis=1)
@@ -140,7 +140,7 @@ def _rewrite_product(graph: ChannelsLastGraph, node: onnx.NodeProto, side: int, 
 
 
 def _rewrite_transposed_conv(graph: ChannelsLastGraph, node: onnx.NodeProto, side: int, in_blocks: bool) -> None:
-    """Add what a transposed convolution 2 × 2 with stride 2 to (side, side) does; its cells may stay in blocks."""
+    """Add a 2 × 2 transposed convolution with stride 2 to (side, side); its output may stay in blocks."""
     name, (weight, bias) = node.output[0], (graph.constants[name] for name in node.input[1:])
     inner, outer = weight.shape[:2]
     spread = weight.transpose(2, 3, 1, 0).reshape(4 * outer, inner, 1, 1)
@@ -151,12 +151,12 @@ def _rewrite_transposed_conv(graph: ChannelsLastGraph, node: onnx.NodeProto, sid
 
 
 def _unfold(graph: ChannelsLastGraph, x: str, name: str, half: int, channels: int) -> str:
-    """Add what moves blocks of 2 × 2 cells (N, 4 · channels, half, half) apart, and return its name."""
+    """Add nodes that split blocks of 2 × 2 cells (N, 4 · channels, half, half) into cells; return the output name."""
     return _swap_rows(graph, x, name, [half, half, 2, 2 * channels], [2 * half, 2 * half, channels])
 
 
 def _fold(graph: ChannelsLastGraph, x: str, name: str, half: int, channels: int) -> str:
-    """Add what joins cells (N, channels, 2 · half, 2 · half) to blocks of 2 × 2, and return its name."""
+    """Add nodes that join cells (N, channels, 2 · half, 2 · half) to blocks of 2 × 2; return the output name."""
     return _swap_rows(graph, x, name, [half, 2, half, 2 * channels], [half, half, 4 * channels])
 
 
@@ -169,25 +169,25 @@ def _swap_rows(graph: ChannelsLastGraph, x: str, name: str, before: list[int], a
 
 
 def weight_in_blocks(weight: NDArray[Any]) -> NDArray[Any]:
-    """Return the weight (4 · outer, 4 · inner, k, k) that does on blocks of 2 × 2 cells what ``weight`` does on cells.
+    """Return the weight (4 · outer, 4 · inner, k, k) of the same convolution on blocks of 2 × 2 cells.
 
     Args:
         weight: (outer, inner, k, k) with k 1 or 3; channels of a block are ordered (row, column, channel).
     """
     outer, inner, kernel, _ = weight.shape
     reach = kernel // 2
-    found = np.zeros((2, 2, outer, 2, 2, inner, kernel, kernel), weight.dtype)
+    block_weight = np.zeros((2, 2, outer, 2, 2, inner, kernel, kernel), weight.dtype)
     for row, column, dy, dx in np.ndindex(2, 2, kernel, kernel):
         # The cell that a tap of the kernel reads: which block, and where in it.
         (block_y, y), (block_x, x) = divmod(row + dy - reach, 2), divmod(column + dx - reach, 2)
-        found[row, column, :, y, x, :, block_y + reach, block_x + reach] = weight[:, :, dy, dx]
-    return found.reshape(4 * outer, 4 * inner, kernel, kernel)
+        block_weight[row, column, :, y, x, :, block_y + reach, block_x + reach] = weight[:, :, dy, dx]
+    return block_weight.reshape(4 * outer, 4 * inner, kernel, kernel)
 
 
 def _rewrite_head(graph: ChannelsLastGraph, node: onnx.NodeProto) -> None:
-    """Add what the last convolution 1 × 1 does on blocks of 2 × 2, and what moves them to cells (N, cells, cells).
+    """Add the last 1 × 1 convolution on blocks of 2 × 2 cells, and split the blocks into cells (N, cells, cells).
 
-    One product for each row of a block gives whole rows of cells: joining rows is faster than moving single cells.
+    One product per row of a block gives whole rows of cells: joining rows is faster than moving single cells.
     """
     name, (weight, bias) = node.output[0], (graph.constants[name] for name in node.input[1:])
     cells = graph.card.grid.cells
@@ -206,11 +206,11 @@ def _rewrite_head(graph: ChannelsLastGraph, node: onnx.NodeProto) -> None:
 _OPSET, _IR = 19, 9
 _SEED = 0x6D61736B
 
-_CORRECTING = 8
-"""Frames over which biases are corrected, the first ones of those that calibrate."""
+_BIAS_FRAMES = 8
+"""Number of calibration frames, the first ones, over which biases are corrected."""
 
 _SCALE_PRESERVING = ("Transpose", "Reshape", "MaxPool")
-"""Operators that only move values: their outputs have the scale of their inputs."""
+"""Operators that only move values: their outputs keep the scale of their inputs."""
 
 _QUANTIZED_OPERATORS = (*_SCALE_PRESERVING, "Conv", "Add", "Concat", "Mul")
 Range = tuple[float, float]
@@ -238,23 +238,22 @@ def quantize_network(
     training_facts: Mapping[str, str] | None = None,
     clip: int | None = None,
 ) -> bytes:
-    """Return the file of a network in bytes, of that of one in float32.
+    """Quantize a float32 network to int8 and return the content of the new ONNX file.
 
-    Activations and masks are bytes, weights signed bytes with a scale for each channel they give; the last convolution,
-    and what follows it, stays in float32. The card says so among the facts of the training.
+    Activations and masks are uint8, weights int8 with one scale per output channel; the last convolution and the
+    sigmoid stay in float32. The card's training facts record the precision.
 
     Args:
         content: of a file that :func:`viewshed_lab.training.onnx_export.export_onnx` wrote.
-        name: stands for it in messages.
-        frames: maps (1, cells, cells) as :meth:`NetworkCard.maps_of` returns them, at least one; the more they
-            are like what the network will see, the better.
-        training_facts: to be added to those of the card.
-        clip: returns of a cell above which counting stops, that of the card if not given. The fewer, the finer the
-            steps of the first layers.
+        name: of the file, for messages.
+        frames: maps (1, cells, cells) of :meth:`NetworkCard.maps_of`, at least one; they should resemble the
+            sweeps that the network will see.
+        training_facts: added to those of the card.
+        clip: count of returns at which a cell saturates; None keeps the card's. Smaller values give the first layers
+            finer steps.
 
     Raises:
-        ValueError: the file is damaged, or a network in bytes already; or there is no frame; or ``clip`` does not lie
-            in [1, 255].
+        ValueError: the file is damaged or already int8, there is no frame, or ``clip`` does not lie in [1, 255].
     """
     verify_checksum(content, name)
     card = inspect_network(content, name)
@@ -269,19 +268,19 @@ def quantize_network(
 
 
 def _calibrate(graph: ChannelsLastGraph, frames: Sequence[Bytes]) -> dict[str, Range]:
-    """Return the smallest and the largest value of each tensor over all frames, with dropout off and on."""
+    """Return the minimum and maximum of each tensor over all frames, with dropout off and on."""
     names = [node.output[0] for node in graph.nodes if node.op_type in ("Conv", "Relu", "Add", "Concat")]
     model = _model(graph, graph.nodes, graph.constants, names, TensorProto.FLOAT)
     ranges: dict[str, Range] = dict.fromkeys(names, (0.0, 0.0))
-    for found in _outputs(graph, model, frames):
-        for name, values in found.items():
+    for outputs in _outputs(graph, model, frames):
+        for name, values in outputs.items():
             low, high = ranges[name]
             ranges[name] = min(low, float(values.min())), max(high, float(values.max()))
     return ranges
 
 
 def _outputs(graph: ChannelsLastGraph, model: onnx.ModelProto, frames: Sequence[Bytes]) -> Iterator[dict[str, F32]]:
-    """Yield what a model gives for each frame, by name, with dropout off and on (the same masks in each call)."""
+    """Yield the outputs of a model by name, per frame, with dropout off and on (the same masks in each call)."""
     run, names = values_of(model.SerializeToString()), [output.name for output in model.graph.output]
     rng, shape = np.random.default_rng(_SEED), graph.card.shape
     in_bytes = model.graph.input[0].type.tensor_type.elem_type == TensorProto.UINT8
@@ -293,20 +292,20 @@ def _outputs(graph: ChannelsLastGraph, model: onnx.ModelProto, frames: Sequence[
 
 
 def _correct_biases(quantized: _QdqGraph, frames: Sequence[Bytes]) -> None:
-    """Take from the biases of each convolution what rounding adds to its outputs on average, those before corrected."""
+    """Subtract the mean rounding error of each convolution's outputs from its biases, in the order of the layers."""
     graph = quantized.graph
     names = [node.output[0] for node in graph.nodes if f"{node.output[0]}_bias_scale" in quantized.constants]
 
     def means(nodes: list[onnx.NodeProto], constants: Constants, outputs: list[str], kind: int) -> dict[str, F32]:
         model = _model(graph, nodes, constants, outputs, kind)
-        found = [{name: each.mean((0, 2, 3)) for name, each in one.items()} for one in _outputs(graph, model, frames)]
-        return {name: np.mean([one[name] for one in found], axis=0) for name in outputs}
+        per_frame = [{name: x.mean((0, 2, 3)) for name, x in run.items()} for run in _outputs(graph, model, frames)]
+        return {name: np.mean([frame[name] for frame in per_frame], axis=0) for name in outputs}
 
-    wanted = means(graph.nodes, graph.constants, names, TensorProto.FLOAT)
+    expected = means(graph.nodes, graph.constants, names, TensorProto.FLOAT)
     places = {node.output[0]: place for place, node in enumerate(quantized.nodes)}
-    for name, mean in wanted.items():
-        before = quantized.nodes[: places[f"{name}_wide"] + 1]
-        error = means(before, quantized.constants, [f"{name}_wide"], TensorProto.UINT8)[f"{name}_wide"] - mean
+    for name, mean in expected.items():
+        up_to_here = quantized.nodes[: places[f"{name}_wide"] + 1]
+        error = means(up_to_here, quantized.constants, [f"{name}_wide"], TensorProto.UINT8)[f"{name}_wide"] - mean
         bias, scale = (np.asarray(quantized.constants[f"{name}_bias{end}"], np.float64) for end in ("", "_scale"))
         quantized.constants[f"{name}_bias"] = np.round(bias - error / scale).astype(np.int32)
 
@@ -315,7 +314,7 @@ def _quantize_graph(graph: ChannelsLastGraph, frames: Sequence[Bytes]) -> onnx.M
     quantized = _QdqGraph(graph, _calibrate(graph, frames))
     for node in graph.nodes:
         quantized.add(node)
-    _correct_biases(quantized, frames[:_CORRECTING])
+    _correct_biases(quantized, frames[:_BIAS_FRAMES])
     model = _model(graph, quantized.nodes, quantized.constants, ["probability"], TensorProto.UINT8)
     helper.set_model_props(model, {CARD_KEY: graph.card.to_json()})
     onnx.checker.check_model(model)
@@ -348,19 +347,18 @@ class _QdqGraph:
     """A graph in QDQ format, built node by node."""
 
     graph: ChannelsLastGraph  # in float32
-    ranges: Mapping[str, Range]  # smallest and largest value of its activations
+    ranges: Mapping[str, Range]  # minimum and maximum of its activations
     nodes: list[onnx.NodeProto] = field(default_factory=list)  # so far
     constants: dict[str, NDArray[np.generic]] = field(default_factory=dict)  # so far
-    # of the tensors that are quantized, by the name that they have in ``graph``
-    scales: dict[str, _QuantParams] = field(default_factory=dict)
-    names: dict[str, str] = field(default_factory=dict)  # the dequantized tensor that stands for each of them
+    scales: dict[str, _QuantParams] = field(default_factory=dict)  # of the quantized tensors, by name in ``graph``
+    names: dict[str, str] = field(default_factory=dict)  # name of the dequantized tensor that replaces each of them
 
     def __post_init__(self) -> None:
         self.scales["inputs"] = _QuantParams(1.0 / 255.0)
         self.names["inputs"] = self._dequantize("inputs", "inputs")
 
     def add(self, node: onnx.NodeProto) -> None:
-        """Add a node of the float32 graph."""
+        """Add a node of the float32 graph; quantize its output if its input is quantized and the operator allows it."""
         kind, output = node.op_type, node.output[0]
         x, scale = node.input[0], None
         if kind == "Unsqueeze":
@@ -378,7 +376,7 @@ class _QdqGraph:
         self._put(node, scale)
 
     def _put(self, node: onnx.NodeProto, scale: _QuantParams | None) -> None:
-        """Add a node; with a scale its output is quantized, and so are the weights of a convolution."""
+        """Add a node; given a scale, quantize its output, and the weights of a convolution."""
         copy, output = onnx.NodeProto(), node.output[0]
         copy.CopyFrom(node)
         for i, name in enumerate(node.input):
@@ -426,19 +424,19 @@ class _QdqGraph:
         return output
 
     def _fused_output(self, output: str) -> str:
-        """Return the tensor whose range counts: that of the ReLU that alone reads ``output``, else its own."""
+        """Return the tensor whose range applies: the ReLU's output if only a ReLU reads ``output``, else ``output``."""
         readers = [node for node in self.graph.nodes if output in node.input]
         return readers[0].output[0] if len(readers) == 1 and readers[0].op_type == "Relu" else output
 
 
 def mask_scale(dropout: float) -> _QuantParams:
-    """Return the scale of masks for which both 1 and 1 / (1 - dropout) are nearest to whole numbers of at most 255.
+    """Return the mask scale for which 1 and 1 / (1 - dropout) are closest to integer multiples of at most 255.
 
     >>> [round(1 / mask_scale(dropout).scale) for dropout in (0.1, 0.8)]
     [225, 50]
     """
-    most = max(int(255 * (1.0 - dropout)), 1)
-    ones = np.arange(min(64, most), most + 1)
+    max_one = max(int(255 * (1.0 - dropout)), 1)
+    ones = np.arange(min(64, max_one), max_one + 1)
     scaled = ones / (1.0 - dropout)
     error = np.abs(scaled - np.round(scaled)) / ones
     return _QuantParams(1.0 / float(ones[::-1][np.argmin(error[::-1])]))

@@ -1,4 +1,4 @@
-"""``train``: from a config to weights; a run that was stopped resumes. Imports torch only when it is called."""
+"""``train``: train a network from a config; an interrupted run resumes. Imports torch only when called."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ from viewshed_lab.training.log import CHECKPOINT, WEIGHTS, Epoch, Machines, OnPr
 
 @dataclass(frozen=True, slots=True)
 class Trained:
-    """What a training left."""
+    """Result of a training."""
 
     weights: Path  # ``network.onnx`` of the best epoch
-    checkpoint: Path  # ``last.ckpt``, from which training would go on
-    history: tuple[Epoch, ...]  # its epochs
-    frames_per_s: float  # frames trained on in a second, waiting for frames counted
+    checkpoint: Path  # ``last.ckpt``, from which training resumes
+    history: tuple[Epoch, ...]  # one entry per epoch
+    frames_per_s: float  # training frames per second, including the time waiting for frames
     network_share: float  # share of the time in which the network ran
 
     @property
     def best(self) -> Epoch:
-        """The epoch whose weights are kept."""
+        """The epoch whose weights were exported."""
         return best_of(self.history)
 
     @classmethod
     def of(cls, out: Path, history: Sequence[Epoch]) -> Trained:
-        """Return what lies in a folder."""
+        """Return the result of the training in folder ``out``; rates are weighted by the seconds of each epoch."""
         seconds = sum(epoch.seconds for epoch in history)
         share = sum(epoch.network_share * epoch.seconds for epoch in history) / max(seconds, 1e-9)
         rate = sum(epoch.frames_per_s * epoch.seconds for epoch in history) / max(seconds, 1e-9)
@@ -47,23 +47,23 @@ def train(
     cache: str | Path | None = None,
     fold: Fold | None = None,
 ) -> Trained:
-    """Return what training left in ``out``; a run that was stopped goes on after its last whole epoch.
+    """Train a network in folder ``out`` and return the result; an interrupted run resumes after its last full epoch.
 
-    The end does not depend on whether and where it was stopped.
+    The result is the same with and without interruptions.
 
     Args:
-        config: what is trained.
-        out: folder of this training alone.
+        config: settings of the training.
+        out: folder of this training only.
         device: ``cpu`` or ``cuda``.
-        devices: processes or graphics cards of each machine, each with ``batch`` frames a step.
-        nodes: machines, each of which runs this call.
-        on_progress: is called after every batch; where several processes train, it is sent to them.
-        cache: folder for simulated archives and labels, which several trainings may share; None is inside ``out``.
-        fold: which scenes validate, in cross-validation.
+        devices: processes or GPUs of each machine, each with ``batch`` frames per step.
+        nodes: number of machines; each of them runs this call.
+        on_progress: called after every batch; pickled where several processes train.
+        cache: folder of simulated archives and labels, which trainings may share; None is a folder in ``out``.
+        fold: validation scenes, in cross-validation.
 
     Raises:
         ValueError: the data do not fit the config, ``out`` holds another training, or the loss is not finite.
-        OSError: something cannot be read or written; the last whole epoch stays.
+        OSError: a file cannot be read or written; the last full epoch is kept.
         ImportError: torch is not installed.
     """
     machines, folder = Machines(device, devices, nodes), Path(out)
@@ -83,7 +83,7 @@ def train(
 
 
 def require_torch() -> None:
-    """Check that what training needs is installed."""
+    """Raise an ImportError unless torch and Lightning are installed."""
     with needed_for("training"):
         import lightning  # noqa: F401
         import torch  # noqa: F401

@@ -1,16 +1,15 @@
-"""TrainingFrames: the inputs and targets of a network, sample by sample; for torch's DataLoader, but needs no torch.
+"""TrainingFrames: a network's inputs and targets, sample by sample, for torch's DataLoader. Needs no torch.
 
-A sample is drawn in steps: the clean sweep, an attack or none, the counts of its returns.
-Everything random follows from seed, epoch and number of the frame, so that it does not depend on processes or resumes.
+A sample is built in steps: load the clean sweep of an archive, attack it or not, count its returns per cell.
+All random numbers depend only on seed, epoch and frame number, not on the number of processes or on resumes.
 
-Drawing a sample takes longer than a step of the network. So ``versions`` of every frame, each with an attack of its
-own, are drawn once, cached on the disk, and shown in turn: epoch e shows version e modulo ``versions``. Folders are
-named by a hash of all that decides a sample, so that another config never reads them. A file holds the counts of 256
-frames, or their truth. Files are memory-mapped: all loader processes share one copy in the page cache. Each is written
-whole or not at all and the truth last, so a block whose truth is there has its counts.
+Building a sample takes longer than a network step. Therefore ``versions`` of every frame, each with its own attack, are
+built once and cached on disk; epoch e uses version e modulo ``versions``. The name of the cache folder is a hash of
+everything that determines a sample, so another config never reads it. One file holds the counts of 256 frames, another
+their truth. Files are memory-mapped: all loader processes share one copy in the page cache. Files are written
+atomically and the truth last, so a block with a truth file is complete.
 
-Clean sweeps are of archives. The label of arXiv 2503.07375 takes as long as the network: it is computed once for
-each sweep and cached as bits.
+The label of arXiv 2503.07375 takes as long as a network step: it is computed once per sweep and cached as bits.
 """
 
 from __future__ import annotations
@@ -51,39 +50,39 @@ _VERSION = 1
 
 
 def paper_label(sweep: Sweep, grid: BevGrid, indoor: bool) -> NDArray[np.bool_]:
-    """Return the label (cells, cells) that arXiv 2503.07375 would give a sweep."""
+    """Return the label (cells, cells) bool of a sweep by the method of arXiv 2503.07375."""
     table = PAPER_INDOOR_ESTIMATORS if indoor else PAPER_ESTIMATORS
     return table["paper_label"](grid).estimate(sweep).visible()
 
 
 @dataclass(frozen=True, slots=True)
 class PaperLabels:
-    """The paper's label of sweeps on a grid, one file of bits for each shard."""
+    """Cached paper labels of sweeps on a grid, one file of bits per shard."""
 
-    folder: Path  # where the files are
+    folder: Path  # of the files
     grid: BevGrid  # of the labels
-    indoor: bool  # whether the paper's indoor settings are taken
+    indoor: bool  # whether to use the paper's indoor settings
 
     def of_frame(self, shard: ShardFacts, row: int) -> NDArray[np.bool_]:
-        """Return the label (cells, cells) of a frame whose shard :meth:`build` has seen."""
+        """Return the label (cells, cells) bool of a frame; :meth:`build` must have labeled its shard."""
         cells = self.grid.cells
         bits = np.unpackbits(mapped_array(self.path(shard))[row], count=cells * cells)
         return bits.reshape(cells, cells).astype(np.bool_)
 
     def path(self, shard: ShardFacts) -> Path:
-        """Return where the labels of a shard are: named by what the shard holds and by how labels are made."""
+        """Return the label file of a shard; its name is a hash of the shard's content and the label settings."""
         key = json.dumps([_VERSION, shard.sha256, self.grid.cells, float(self.grid.half_extent_m), self.indoor])
         return self.folder / f"{hashlib.sha256(key.encode()).hexdigest()[:24]}.npy"
 
     def build(self, archive: Archive, workers: int, on_progress: Callable[[int], None] | None = None) -> None:
-        """Label the shards of an archive that have no labels yet, in ``workers`` processes; see :func:`build_files`."""
+        """Label the unlabeled shards of an archive in ``workers`` processes; see :func:`build_files`."""
         missing = [shard for shard in archive.shards if not self.path(shard).is_file()]
         jobs = [(self, archive.of_scenes([shard.scene]), shard) for shard in missing]
         build_files(_label_shard, self.folder, jobs, workers, on_progress)
 
 
 def _label_shard(job: tuple[PaperLabels, Archive, ShardFacts]) -> int:
-    """Return the number of frames of a shard in the archive of its scene, whose labels are written."""
+    """Write the labels of a shard, given the archive of its scene, and return its number of frames."""
     labels, scene, shard = job
     first = sum(one.frames for one in scene.shards[: scene.shards.index(shard)])
     sweeps = (scene[first + row].sweep for row in range(shard.frames))
@@ -93,52 +92,53 @@ def _label_shard(job: tuple[PaperLabels, Archive, ShardFacts]) -> int:
 
 
 _LOOK_BACK_FRAMES = 24
+"""Frames that :meth:`ArchivedSamples.earlier` searches backward."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CleanSample:
-    """A sweep that nobody attacked, and the one mask that a config teaches of it.
+    """A sweep without attack, and its target mask.
 
-    Not a :class:`~viewshed_lab.data.sample.Sample`: what is taught may be the paper's label, which is no truth.
+    Unlike in a :class:`~viewshed_lab.data.sample.Sample`, the target may be the paper's label instead of the truth.
     """
 
-    sweep: Sweep  # what the sensor measured
-    visible: NDArray[np.bool_]  # (cells, cells) bool, the truth or the label
-    known: NDArray[np.bool_]  # (cells, cells) bool, where it is known
+    sweep: Sweep  # as measured
+    visible: NDArray[np.bool_]  # (cells, cells) bool, truth or label
+    known: NDArray[np.bool_]  # (cells, cells) bool, where ``visible`` is known
 
 
 def labeled(sweep: Sweep, label: NDArray[np.bool_]) -> CleanSample:
-    """Return a sweep with the paper's label, which is known everywhere."""
+    """Return the sample of a sweep and its paper label, which is known in every cell."""
     return CleanSample(sweep, label, np.ones(label.shape, np.bool_))
 
 
 class CleanSamples(Protocol):
-    """Frames by number, in any process."""
+    """Clean frames by index; usable in any process."""
 
     def __len__(self) -> int: ...
 
     def clean(self, index: int) -> CleanSample:
-        """Return one frame."""
+        """Return frame ``index``."""
         ...
 
     def earlier(self, index: int) -> tuple[Sweep, ...]:
-        """Return the last sweep before it of the same sensor and scene, or none."""
+        """Return the previous sweep of the same sensor and scene, or an empty tuple."""
         ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ArchivedSamples:
-    """The frames of archives, one after the other."""
+    """The frames of several archives, concatenated."""
 
-    archives: tuple[Archive, ...]  # what is read, each a part of a split
+    archives: tuple[Archive, ...]  # each a part of a split
     config: TrainConfig  # target and truth
-    labels: PaperLabels | None = None  # of the paper, where they are the truth; None makes each when it is needed
+    labels: PaperLabels | None = None  # cached labels for truth ``paper_label``; None computes each on demand
 
     def __len__(self) -> int:
         return sum(map(len, self.archives))
 
     def clean(self, index: int) -> CleanSample:
-        """Return one frame."""
+        """Return frame ``index``."""
         archive, at = self._place(index)
         sample = archive[at]
         config = self.config
@@ -149,7 +149,7 @@ class ArchivedSamples:
         return labeled(sample.sweep, self.labels.of_frame(*archive.locate(at)))
 
     def earlier(self, index: int) -> tuple[Sweep, ...]:
-        """Return the last sweep before it of the same sensor and scene, or none."""
+        """Return the previous sweep of the same sensor and scene, or an empty tuple."""
         archive, at = self._place(index)
         sample = archive[at]
         for before in range(at - 1, max(at - _LOOK_BACK_FRAMES, 0) - 1, -1):
@@ -169,7 +169,7 @@ class ArchivedSamples:
 
 
 def check_archives(config: TrainConfig, archives: Sequence[Archive]) -> None:
-    """Check that archives have the grid, targets, splits and sweeps that the config wants to learn."""
+    """Check that archives have the grid, target, split and kind of sweeps that the config requires."""
     for archive in archives:
         layout, place = archive.manifest.layout, archive.store.place
         if config.train_split not in archive.splits:
@@ -192,25 +192,25 @@ def check_archives(config: TrainConfig, archives: Sequence[Archive]) -> None:
             )
 
 
-def draw_attacked_sweep(
+def sample_attacked_sweep(
     config: TrainConfig, sweep: Sweep, earlier: Callable[[], tuple[Sweep, ...]], rng: np.random.Generator
 ) -> Sweep:
-    """Return the sweep as the network is shown it: attacked by one of the config's attacks, or as it is.
+    """Return the sweep, attacked by one of the config's attacks or unchanged.
 
-    Attacks are drawn evenly, and so is the strength of each, from its budgets and its severities in the study. One
-    that this sweep does not allow leaves it as it is. ``earlier`` returns earlier sweeps of the same sensor, asked only
-    where the attack needs one.
+    The attack and its strength (a budget or a severity of the study) are sampled uniformly. An attack that is not
+    possible on this sweep leaves it unchanged. ``earlier`` returns earlier sweeps of the same sensor; it is called only
+    if the attack needs them.
     """
     if not config.attacks or rng.random() >= config.attack_share:
         return sweep
     name = config.attacks[rng.integers(len(config.attacks))]
     try:
-        return _draw_attack(config, name, earlier, rng).apply(sweep, rng).sweep
+        return _sample_attack(config, name, earlier, rng).apply(sweep, rng).sweep
     except ValueError:
         return sweep
 
 
-def _draw_attack(
+def _sample_attack(
     config: TrainConfig, name: str, earlier: Callable[[], tuple[Sweep, ...]], rng: np.random.Generator
 ) -> Attack:
     if name == PAPER:
@@ -226,7 +226,7 @@ def _draw_attack(
 
 @lru_cache(maxsize=64)
 def attack_strengths(name: str) -> tuple[int | tuple[str, float] | None, ...]:
-    """Return how strong an attack may be drawn: None its default, a budget, or an attribute with a value.
+    """Return the strengths of an attack to sample from: None (its default), a budget, or an attribute and its value.
 
     >>> attack_strengths("ghost_car")
     (None, 50, 100, 150, 200, 1000, 1000000000)
@@ -239,29 +239,29 @@ Scalar = TypeVar("Scalar", bound=np.generic)
 Arrays = dict[str, NDArray[np.float32]]
 
 Key = tuple[int, int]
-"""Epoch and number of a frame."""
+"""Epoch and index of a frame."""
 
 BLANK = -1
-"""Number of a frame that counts nowhere: it makes the parts of several processes equally long."""
+"""Index of a padding frame without known cells: it makes the shares of all processes equally long."""
 
 
 _FOR_ATTACK, _FOR_MASKS, _FOR_TURN = 1, 2, 3
+"""Last entry of the seeds of :meth:`TrainingFrames._rng`."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrainingSample:
-    """A sample as the network is taught it: a map in bytes and two masks, small enough to be cached.
+    """A training sample on the network's grid: a uint8 map and two masks, small enough to be cached.
 
-    Not a :class:`~viewshed_lab.data.sample.Sample`: sweep and truth are no longer in it, only what they come to on the
-    network's grid.
+    Unlike a :class:`~viewshed_lab.data.sample.Sample`, it holds neither the sweep nor its full truth.
     """
 
-    maps: NDArray[np.uint8]  # (1, cells, cells) uint8, what the network is shown of the sweep, perhaps attacked
+    maps: NDArray[np.uint8]  # (1, cells, cells) uint8, network input of the sweep, possibly attacked
     visible: NDArray[np.bool_]  # (cells, cells) bool, of the clean sweep
-    known: NDArray[np.bool_]  # (cells, cells) bool, where that counts
+    known: NDArray[np.bool_]  # (cells, cells) bool, where ``visible`` is known
 
     def turned(self, turn: int) -> TrainingSample:
-        """Return the frame after ``turn`` modulo 4 quarter turns; from 4 on its x and y change places first.
+        """Return the sample rotated by ``turn`` modulo 4 quarter turns; for ``turn`` ≥ 4, x and y are swapped first.
 
         >>> mask = np.eye(2, dtype=bool)
         >>> TrainingSample(np.array([[[1, 2], [3, 4]]]), mask, mask).turned(5).maps.tolist()
@@ -280,19 +280,18 @@ class TrainingFrames:
 
     source: CleanSamples  # the clean frames
     config: TrainConfig  # attacks, variant and seed
-    # returns the sample of an epoch and a number that was drawn before; None draws each when it is needed
+    # (epoch, index) -> cached sample; None builds each sample on demand
     cached: Callable[[int, int], TrainingSample] | None = None
-    mirrored: bool = False  # whether frames are turned and mirrored at random
+    mirrored: bool = False  # whether frames are rotated and mirrored at random
 
     def __len__(self) -> int:
         return len(self.source)
 
     def __getitem__(self, key: Key) -> Arrays:
-        """Return the frame ``(epoch, number)`` as float32 arrays; all that is random follows from seed and key.
+        """Return the frame ``(epoch, index)`` as float32 arrays; random numbers depend only on seed and key.
 
-        ``inputs`` (1, cells, cells): what the network is shown, the sweep perhaps attacked; ``visible`` and
-        ``known`` (cells, cells): 0 or 1, of the clean sweep, and 1 where that counts; ``masks`` (M,): dropout's, ones
-        for ``mle``.
+        ``inputs`` (1, cells, cells): network input of the sweep, possibly attacked. ``visible`` and ``known``
+        (cells, cells): 0 or 1, of the clean sweep. ``masks`` (M,): dropout masks, ones for ``mle``.
 
         Raises:
             IndexError: there is no such frame.
@@ -314,62 +313,62 @@ class TrainingFrames:
         }
 
     def draw(self, epoch: int, index: int) -> TrainingSample:
-        """Return a frame made now, with the attack of this epoch."""
+        """Build frame ``index`` with the attack of this epoch, without the cache."""
         clean = self.source.clean(index)
         rng = self._rng(epoch, index, _FOR_ATTACK)
-        shown = draw_attacked_sweep(self.config, clean.sweep, lambda: self.source.earlier(index), rng)
-        return TrainingSample(self.config.card().maps_of(shown), clean.visible, clean.known)
+        attacked = sample_attacked_sweep(self.config, clean.sweep, lambda: self.source.earlier(index), rng)
+        return TrainingSample(self.config.card().maps_of(attacked), clean.visible, clean.known)
 
     def _rng(self, epoch: int, index: int, purpose: int) -> np.random.Generator:
         return np.random.default_rng([self.config.seed, epoch, index, purpose])
 
 
 VALIDATION_EPOCH = 0
-"""Epoch in which validation frames are drawn: the same attacks every time. Training's begin with 1."""
+"""Epoch of all validation frames, so their attacks never change. Training epochs begin with 1."""
 
 
 @dataclass(frozen=True, slots=True)
 class Share:
-    """The part of one of several processes."""
+    """One process's part of the frames."""
 
     rank: int = 0  # number of the process
-    world: int = 1  # how many there are
+    world: int = 1  # number of processes
 
 
 @dataclass(slots=True)
 class TrainingOrder:
-    """The frames of an epoch in an order of its own, as keys; a sampler for torch's DataLoader.
+    """Yields the keys of an epoch in random order; a sampler for torch's DataLoader.
 
     >>> list(TrainingOrder(4, 4, 7)) == sorted(TrainingOrder(4, 4, 7))
     False
     """
 
-    frames: int  # how many there are
-    take: int  # how many an epoch shows
-    seed: int  # with the epoch it decides the order
-    share: Share = Share()  # this process's part; all are equally long, the first frames fill up
+    frames: int  # number of frames
+    frames_per_epoch: int  # number of frames that one epoch uses
+    seed: int  # determines the order, together with the epoch
+    share: Share = Share()  # this process's part; all parts are padded to equal length with the first frames
     epoch: int = 0  # number of the epoch, from 0; Lightning sets it
 
     def set_epoch(self, epoch: int) -> None:
-        """Begin an epoch."""
+        """Set the epoch; Lightning calls this."""
         self.epoch = epoch
 
     def __len__(self) -> int:
-        return math.ceil(self.take / self.share.world)
+        return math.ceil(self.frames_per_epoch / self.share.world)
 
     def __iter__(self) -> Iterator[Key]:
         rng = np.random.default_rng([self.seed, self.epoch + 1])
-        order = np.resize(rng.permutation(self.frames)[: self.take], len(self) * self.share.world)
+        order = np.resize(rng.permutation(self.frames)[: self.frames_per_epoch], len(self) * self.share.world)
         for index in order[self.share.rank :: self.share.world]:
             yield self.epoch + 1, int(index)
 
 
 @dataclass(frozen=True, slots=True)
 class ValidationOrder:
-    """The frames that validate, one after the other, as keys; a sampler for torch's DataLoader."""
+    """Yields the keys of the validation frames in order; a sampler for torch's DataLoader."""
 
-    frames: int  # how many there are
-    share: Share = Share()  # this process's part; all are equally long, blank frames fill up
+    frames: int  # number of frames
+    share: Share = Share()  # this process's part; all parts are padded to equal length with blank frames
 
     def __len__(self) -> int:
         return math.ceil(self.frames / self.share.world)
@@ -391,16 +390,16 @@ _CONFIG_KEYS = (
 
 @dataclass(frozen=True, slots=True)
 class SampleCache:
-    """Samples of a config in rows: a byte of each cell for its returns, two bits for visible and known."""
+    """Cached samples of a config, a row per frame: one byte per cell for its returns, two bits for the masks."""
 
-    folder: Path  # where the files are; its name tells what decides the frames
-    cells: int  # of the grid
-    frames: int  # how many there are
-    first: int  # epoch whose attacks the first version has
-    versions: int  # of each frame; later epochs show them again in turn
+    folder: Path  # of the files; its name is a hash of everything that determines the samples
+    cells: int  # per side of the grid
+    frames: int  # number of frames
+    first: int  # epoch of the first version's attacks
+    versions: int  # of each frame; later epochs cycle through them
 
     def frame(self, epoch: int, index: int) -> TrainingSample:
-        """Return a frame in the version of an epoch."""
+        """Return frame ``index`` in the version that ``epoch`` uses."""
         if not 0 <= index < self.frames:
             raise IndexError(f"index must be below {self.frames}, the number of frames, got {index}")
         block, row = divmod(index, _BLOCK)
@@ -411,11 +410,11 @@ class SampleCache:
         return TrainingSample(maps, *bits.reshape(2, self.cells, self.cells))
 
     def path(self, version: int, block: int, name: str) -> Path:
-        """Return where the counts or the truth of a block of a version are."""
+        """Return the file of a block and version; ``name`` is ``counts`` or ``truth``."""
         return self.folder / f"{version}-{block}-{name}.npy"
 
     def build(self, frames: TrainingFrames, workers: int, on_progress: Callable[[int], None] | None = None) -> None:
-        """Draw the samples of the blocks that are missing, in ``workers`` processes; see :func:`build_files`."""
+        """Build the samples of the missing blocks in ``workers`` processes; see :func:`build_files`."""
         blocks = range(-(-self.frames // _BLOCK))
         places = [(version, block) for version in range(self.versions) for block in blocks]
         jobs = [(self, frames, *place) for place in places if not self.path(*place, _TRUTH).is_file()]
@@ -425,17 +424,17 @@ class SampleCache:
 def sample_cache_of(
     config: TrainConfig, archives: tuple[Archive, ...], folder: Path, first: int, versions: int
 ) -> SampleCache:
-    """Return the cache of the samples of archives below ``folder``, which :meth:`SampleCache.build` fills."""
+    """Return the sample cache of archives below ``folder``; :meth:`SampleCache.build` fills it."""
     table = config.to_json()
     shards = [shard.sha256 for archive in archives for shard in archive.shards]
-    decided_by = {key: table[key] for key in _CONFIG_KEYS}
-    words = [_LAYOUT, viewshed.__version__, first, config.card().clip, decided_by, shards]
-    name = hashlib.sha256(json.dumps(words).encode()).hexdigest()[:24]
+    settings = {key: table[key] for key in _CONFIG_KEYS}
+    content = [_LAYOUT, viewshed.__version__, first, config.card().clip, settings, shards]
+    name = hashlib.sha256(json.dumps(content).encode()).hexdigest()[:24]
     return SampleCache(folder / name, config.cells, sum(map(len, archives)), first, versions)
 
 
 def _write_block(job: tuple[SampleCache, TrainingFrames, int, int]) -> int:
-    """Return the number of frames of a block, whose counts and then their truth are written."""
+    """Write the counts and then the truth of a block, and return its number of frames."""
     cache, frames, version, block = job
     numbers = range(block * _BLOCK, min((block + 1) * _BLOCK, cache.frames))
     samples = [frames.draw(cache.first + version, number) for number in numbers]

@@ -1,4 +1,4 @@
-"""Fits the classifier of the detector's candidates on simulated sweeps with true boxes [torch]."""
+"""Fit the shape classifier of detection candidates on simulated sweeps with true boxes [torch]."""
 
 from __future__ import annotations
 
@@ -22,59 +22,59 @@ NEAR_M = {
     ObjectKind.OTHER: 0.8, ObjectKind.PEDESTRIAN: 0.6, ObjectKind.CYCLIST: 1.0, ObjectKind.CAR: 1.5,
     ObjectKind.TRUCK: 3.0,
 }  # fmt: skip
-"""A candidate is an object if the middle of its whole box lies within this distance of that of the object ..."""
+"""Largest distance between the centers of a candidate's completed box and its object's box, by kind."""
 
 INSIDE_SHARE = 0.6
-"""... and more than this share of its returns lies in the object's box, ..."""
+"""Smallest share of a candidate's returns in its object's box."""
 
 AROUND_M = 0.15
-"""... which is made larger by this on every side."""
+"""Margin on every side of the object's box in that test."""
 
 TURNED_M = 0.5
-"""Distance that is added to that of a box that is turned by more than 45°."""
+"""Penalty added to the distance of boxes whose headings differ by more than 45°."""
 
 UNITS = (64, 32)
-"""Of the hidden layers."""
+"""Units of the hidden layers."""
 
 BATCH, EPOCHS, LEARNING_RATE, WEIGHT_DECAY = 512, 12, 4e-3, 1e-3
 
 
 def labels_of(leveled_xy: NDArray[np.float32], candidates: Candidates, objects: SweepObjects) -> NDArray[np.int64]:
-    """Return the member of :class:`SeenAs` (C,) that each candidate is.
+    """Return the true :class:`SeenAs` label (C,) of each candidate.
 
     Args:
         leveled_xy: (M, 2) points of the leveled sweep.
-        candidates: C of them.
-        objects: what is there.
+        candidates: C candidates.
+        objects: true objects.
     """
     labels = np.full(len(candidates), SeenAs.NOTHING, np.int64)
     if not len(objects) or not len(candidates):
         return labels
-    # 1. The object that most of each candidate's returns belong to.
+    # 1. Assign each candidate to the object whose box holds the largest share of its returns.
     xy = leveled_xy[candidates.rows]
     shares = np.stack([_shares_inside(xy, box, candidates) for box in objects.boxes])
     owner, share = shares.argmax(axis=0), shares.max(axis=0)
-    # 2. Whether its whole box would lie where the object does, completed in each way that the kind allows.
+    # 2. Complete the box in each way that the object's kind allows; the closest one within the limit is the label.
     nearest_m = np.full(len(candidates), np.inf)
     for seen_as in SeenAs:
         if seen_as == SeenAs.NOTHING:
             continue
         kind = KIND_SEEN_AS[seen_as]
         which = np.flatnonzero((objects.kinds[owner] == kind) & (share > INSIDE_SHARE))
-        away_m = _distances(candidates, which, seen_as, objects.boxes[owner[which]])
-        better = (away_m < NEAR_M[ObjectKind(kind)]) & (away_m < nearest_m[which])
+        distance_m = _distances(candidates, which, seen_as, objects.boxes[owner[which]])
+        better = (distance_m < NEAR_M[ObjectKind(kind)]) & (distance_m < nearest_m[which])
         labels[which[better]] = seen_as
-        nearest_m[which] = np.minimum(nearest_m[which], away_m)
+        nearest_m[which] = np.minimum(nearest_m[which], distance_m)
     return labels
 
 
 def fit_shape_classifier(sweeps: Iterable[ObjectSweep], seed: int) -> ShapeClassifier:
-    """Return a classifier fitted on all candidates of some sweeps; the same seed gives the same on one machine."""
+    """Fit a classifier on all candidates of the sweeps; the same seed gives the same weights on one machine."""
     shapes, labels = [], []
-    for each in sweeps:
-        candidates = find_candidates(each.leveled)
+    for sweep in sweeps:
+        candidates = find_candidates(sweep.leveled)
         shapes.append(candidates.shapes)
-        labels.append(labels_of(each.leveled.points[:, :2], candidates, each.objects))
+        labels.append(labels_of(sweep.leveled.points[:, :2], candidates, sweep.objects))
     return _fit(np.concatenate(shapes), np.concatenate(labels), seed)
 
 
@@ -104,22 +104,22 @@ def _fit(shapes: NDArray[np.float32], labels: NDArray[np.int64], seed: int) -> S
 
 
 def _shares_inside(xy: NDArray[np.float32], box: F64, candidates: Candidates) -> F64:
-    """Return the share (C,) of each candidate's returns, at xy (P, 2) in the order of its rows, that lies in a box."""
-    away = xy - box[:2]
+    """Return the share (C,) of each candidate's returns inside a box; ``xy`` (P, 2) are the returns in row order."""
+    offset = xy - box[:2]
     c, s = np.cos(box[6]), np.sin(box[6])
-    inside = np.abs(away[:, 0] * c + away[:, 1] * s) < box[3] / 2 + AROUND_M
-    inside &= np.abs(away[:, 1] * c - away[:, 0] * s) < box[4] / 2 + AROUND_M
-    up_to = np.concatenate([[0], np.cumsum(inside)])
-    result: F64 = (up_to[candidates.last] - up_to[candidates.first]) / candidates.returns
+    inside = np.abs(offset[:, 0] * c + offset[:, 1] * s) < box[3] / 2 + AROUND_M
+    inside &= np.abs(offset[:, 1] * c - offset[:, 0] * s) < box[4] / 2 + AROUND_M
+    cumulative = np.concatenate([[0], np.cumsum(inside)])
+    result: F64 = (cumulative[candidates.last] - cumulative[candidates.first]) / candidates.returns
     return result
 
 
 def _distances(candidates: Candidates, which: NDArray[np.intp], seen_as: SeenAs, boxes: F64) -> F64:
-    """Return how far (K,) the middles of whole boxes of candidates would lie from those of their objects (K, 7)."""
+    """Return the distances (K,) between the centers of the candidates' completed boxes and their objects' ``boxes``."""
     kinds = np.full(len(which), KIND_SEEN_AS[seen_as], np.uint8)
     is_end = np.full(len(which), seen_as in ENDS)
-    found = complete_boxes(candidates.sides[which], kinds, is_end, candidates.column("top_m")[which])
-    away_m: F64 = np.hypot(*(found[:, :2] - boxes[:, :2]).T)
-    turned = np.abs((found[:, 6] - boxes[:, 6] + np.pi / 2) % np.pi - np.pi / 2) > np.pi / 4
+    completed = complete_boxes(candidates.sides[which], kinds, is_end, candidates.column("top_m")[which])
+    distance_m: F64 = np.hypot(*(completed[:, :2] - boxes[:, :2]).T)
+    turned = np.abs((completed[:, 6] - boxes[:, 6] + np.pi / 2) % np.pi - np.pi / 2) > np.pi / 4
     has_side = kinds >= ObjectKind.CAR
-    return away_m + np.where(turned & has_side, TURNED_M, 0.0)
+    return distance_m + np.where(turned & has_side, TURNED_M, 0.0)

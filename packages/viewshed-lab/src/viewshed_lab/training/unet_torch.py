@@ -1,4 +1,4 @@
-"""The U-Net of arXiv 2503.07375 in torch, with the dropout masks as an input: one network for MLE and MCD."""
+"""The U-Net of arXiv 2503.07375 in torch. Dropout masks are an input, so one network serves MLE and MCD."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from viewshed.networks.card import NetworkCard
 
 
 class Stage(nn.Module):
-    """Twice convolution 3 × 3, batch normalization and ReLU."""
+    """Two blocks of 3 × 3 convolution, batch normalization and ReLU."""
 
     def __init__(self, inner: int, outer: int) -> None:
         super().__init__()
@@ -29,15 +29,15 @@ class Stage(nn.Module):
         self.norm2 = nn.BatchNorm2d(outer)
 
     def forward(self, x: Tensor) -> Tensor:
-        """Return (N, outer, H, W) of (N, inner, H, W)."""
+        """Map (N, inner, H, W) to (N, outer, H, W)."""
         x = torch.relu(self.norm1(self.conv1(x)))
         return torch.relu(self.norm2(self.conv2(x)))
 
 
 class UNet(nn.Module):
-    """Encoder, bottleneck and decoder with skips; masks multiply the channels after the stages that drop out.
+    """Encoder, bottleneck and decoder with skips; masks multiply the channels after the stages with dropout.
 
-    ``forward(inputs (N, 1, H, W), masks (N, M))`` returns logits (N, 1, H, W); masks of ones are no dropout.
+    ``forward(inputs (N, 1, H, W), masks (N, M))`` returns logits (N, 1, H, W); masks of ones mean no dropout.
     """
 
     def __init__(self, shape: UNetShape) -> None:
@@ -67,7 +67,7 @@ class UNet(nn.Module):
 
 
 class TorchRunner:
-    """Runs a :class:`UNet` in evaluation mode: batch normalization keeps its statistics."""
+    """Runs a :class:`UNet` in evaluation mode, with fixed statistics of batch normalization."""
 
     def __init__(self, card: NetworkCard, module: UNet, device: str | torch.device = "cpu") -> None:
         if module.shape != card.shape:
@@ -76,7 +76,7 @@ class TorchRunner:
         self._module, self._device = module.to(device), torch.device(device)
 
     def single_threaded(self) -> None:
-        """None: torch shares its threads among all runs."""
+        """Do nothing: torch shares its threads among all runs."""
         return
 
     def run(self, inputs: NDArray[np.float32], masks: NDArray[np.float32] | None = None) -> NDArray[np.float32]:
@@ -102,7 +102,7 @@ class TorchRunner:
 
 
 def save_weights(path: str | Path, card: NetworkCard, module: UNet) -> None:
-    """Write the card and the weights of ``module`` to a new file, whole or not at all."""
+    """Write the card and the weights of ``module`` to a new file, atomically."""
     buffer = io.BytesIO()
     state = {name: value.detach().cpu() for name, value in module.state_dict().items()}
     torch.save({"card": card.to_json(), "state": state}, buffer)
@@ -110,16 +110,16 @@ def save_weights(path: str | Path, card: NetworkCard, module: UNet) -> None:
 
 
 def load_weights(path: str | Path) -> tuple[NetworkCard, UNet]:
-    """Return the card and the network that :func:`save_weights` wrote, in evaluation mode, on the processor.
+    """Return the card and the network that :func:`save_weights` wrote, in evaluation mode, on the CPU.
 
     Raises:
-        ValueError: the file is damaged, no checkpoint of viewshed, or one of another version.
+        ValueError: the file is damaged, no checkpoint of viewshed, or of another version.
     """
     content = _content(Path(path))
     card = NetworkCard.from_json(content["card"])
     module = UNet(card.shape)
     try:
-        # Older files may hold a second head, which is not read.
+        # Older files may hold a second head, which is ignored.
         state = {name: value for name, value in content["state"].items() if not name.startswith("doubt.")}
         module.load_state_dict(state)
     except (RuntimeError, AttributeError) as error:
@@ -132,7 +132,7 @@ def _content(path: Path) -> dict[str, Any]:
     data = path.read_bytes()
     try:
         content = torch.load(io.BytesIO(data), map_location="cpu", weights_only=True)
-    except Exception as error:  # torch raises whatever its parts raise
+    except Exception as error:  # torch.load raises many types
         raise ValueError(
             f"{path} must be a checkpoint of weights, got a damaged or another file; copy it again, or train again"
         ) from error

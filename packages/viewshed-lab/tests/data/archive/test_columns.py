@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from viewshed import Archive, Rigid, Sweep
 from viewshed_lab._jobs import LocalEngine
-from viewshed_lab.data.archive.columns import made_rows, merge_rows, row_of_sample, sample_of_row
+from viewshed_lab.data.archive.columns import added_rows, merge_rows, row_of_sample, sample_of_row
 from viewshed_lab.data.archive.schema import Footer, Layout, Sensors
 from viewshed_lab.data.archive.storage import Storage
 from viewshed_lab.data.presets import preset_named
@@ -96,7 +96,7 @@ def test_rows_come_back_in_any_order(seed: int, kept: int, gone: int, made: int)
         for name in COLUMNS
     }
     after = before.replace(**merged, agent="other", world_from_sensor=Rigid.from_yaw(0.3, (1.0, 2.0, 3.0)))
-    rows = made_rows(before, Tampered(after, added, removed))
+    rows = added_rows(before, Tampered(after, added, removed))
     if made > kept:
         assert rows is None
         return
@@ -113,11 +113,11 @@ def test_a_bit_that_changed_in_another_row_is_not_lost(make_sample: Callable[...
     points[5, 1] = np.nextafter(points[5, 1], np.float32(99))
     after = before.replace(points=points)
     none = np.zeros(len(before), np.bool_)
-    assert made_rows(before, Tampered(after, none, none)) is None
+    assert added_rows(before, Tampered(after, none, none)) is None
     zero = before.replace(points=np.where(np.arange(len(before))[:, None] == 5, np.float32(0), before.points))
     minus = zero.replace(points=np.where(zero.points == 0, np.float32(-0.0), zero.points))
-    assert made_rows(zero, Tampered(minus, none, none)) is None
-    assert made_rows(before.replace(time_s=None), Tampered(before, none, none)) is None
+    assert added_rows(zero, Tampered(minus, none, none)) is None
+    assert added_rows(before.replace(time_s=None), Tampered(before, none, none)) is None
     sensors = Sensors()
     row = row_of_sample(sample.attacked(Tampered(after, none, none)), Layout.of(sample.truth), sensors)
     assert row[1] is None  # no ranges

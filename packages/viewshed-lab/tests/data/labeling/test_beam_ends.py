@@ -61,8 +61,8 @@ def test_one_lost_return_on_the_ground_is_ground() -> None:
     range_m[100, 8] = 0
     stops = _stops(range_m)
     assert stops.kind[100, 8] == OPEN
-    assert stops.least_m[100, 8] == pytest.approx(_length(lost, 8), rel=0.02)
-    assert stops.most_m[100, 8] == pytest.approx(_length(lost, 8), rel=0.02)
+    assert stops.min_m[100, 8] == pytest.approx(_length(lost, 8), rel=0.02)
+    assert stops.max_m[100, 8] == pytest.approx(_length(lost, 8), rel=0.02)
 
 
 def test_one_lost_return_on_a_wall_is_surely_wall_a_window_only_likely() -> None:
@@ -71,10 +71,10 @@ def test_one_lost_return_on_a_wall_is_surely_wall_a_window_only_likely() -> None
     range_m[230:240, 16:23] = 0
     stops = _stops(range_m)
     assert stops.kind[215, 22] == SURFACE
-    assert stops.most_m[215, 22] == pytest.approx(_length(WALL_M, 22), rel=0.01)
+    assert stops.max_m[215, 22] == pytest.approx(_length(WALL_M, 22), rel=0.01)
     assert stops.kind[234, 20] == SURFACE
     assert stops.best_m[234, 20] == pytest.approx(_length(WALL_M, 20), rel=0.01)
-    assert stops.most_m[234, 20] > 3 * WALL_M
+    assert stops.max_m[234, 20] > 3 * WALL_M
 
 
 def test_a_black_car_on_near_ground_swallows_beams() -> None:
@@ -82,8 +82,8 @@ def test_a_black_car_on_near_ground_swallows_beams() -> None:
     range_m[90:110, 4:14] = 0
     stops = _stops(range_m)
     assert (stops.kind[92:108, 6:12] == SWALLOWED).all()
-    assert (stops.least_m[92:108, 6:12] == 0).all()
-    assert stops.most_m[100, 8] == pytest.approx(-HEIGHT_M / np.sin(MODEL.elevation[8]), rel=0.03)
+    assert (stops.min_m[92:108, 6:12] == 0).all()
+    assert stops.max_m[100, 8] == pytest.approx(-HEIGHT_M / np.sin(MODEL.elevation[8]), rel=0.03)
 
 
 def test_a_lost_sector_tells_nothing() -> None:
@@ -92,7 +92,7 @@ def test_a_lost_sector_tells_nothing() -> None:
     stops = _stops(range_m)
     assert (stops.kind[42:78] == SWALLOWED).all()
     assert (stops.best_m[42:78] == 0).all()
-    assert stops.most_m[60, 24] == pytest.approx(60.0)
+    assert stops.max_m[60, 24] == pytest.approx(60.0)
 
 
 def test_snow_in_the_air_stops_no_beam() -> None:
@@ -110,4 +110,4 @@ def test_a_dead_ring_tells_nothing() -> None:
     range_m = _ranges()
     range_m[:, 8] = 0
     stops = _stops(range_m)
-    assert (stops.least_m[:, 8] == 0).all()
+    assert (stops.min_m[:, 8] == 0).all()

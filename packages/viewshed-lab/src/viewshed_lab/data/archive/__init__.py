@@ -1,1 +1,1 @@
-"""Our own format: samples in Parquet shards with a manifest, on disk or in an object store."""
+"""Archive format: samples in Parquet shards with a manifest, on disk or in an object store."""

@@ -1,6 +1,6 @@
 """Archive: a data set in Parquet shards with a manifest, read frame by frame.
 
-An archive as a recording: whoever reads it as one gets its sweeps, and nothing of its truth.
+ArchiveSource reads an archive as a recording, without its truth.
 """
 
 from __future__ import annotations
@@ -30,18 +30,18 @@ if TYPE_CHECKING:
 
 
 OPEN_SHARDS = 64
-"""Files that an archive keeps open at a time."""
+"""Largest number of files that an archive keeps open."""
 
 
 class Archive:
-    """A data set of samples in order, from :meth:`open`; also one of its splits or some of its scenes.
+    """A data set of samples in order, from :meth:`open`; or one of its splits, or some of its scenes.
 
-    It may be sent to other processes and used after a fork: files are opened by the process that reads them.
+    It can be pickled and used after a fork: every process opens the files that it reads.
 
     Args:
-        store: where it lies.
-        manifest: what it holds and how it was made.
-        shards: those that belong to it; None is all.
+        store: location of the files.
+        manifest: content and origin.
+        shards: the shards to use; None is all.
     """
 
     def __init__(self, store: Storage, manifest: Manifest, shards: Iterable[ShardFacts] | None = None) -> None:
@@ -52,7 +52,7 @@ class Archive:
 
     @classmethod
     def open(cls, place: str | os.PathLike[str]) -> Archive:
-        """Return the archive in a folder or at a URI.
+        """Open the archive in a folder or at a URI.
 
         Raises:
             ValueError: it is no archive, not finished, damaged, or of another schema version.
@@ -68,18 +68,18 @@ class Archive:
         return int(self._ends[-1]) if len(self._ends) else 0
 
     def __getitem__(self, index: int) -> Sample:
-        """Return one sample; its points are computed when they are first needed.
+        """Return one sample; its points are computed on first use.
 
         Raises:
             IndexError: there is no such frame.
-            ValueError: its shard is damaged, or not the one that the manifest lists.
+            ValueError: its shard is damaged, or differs from the manifest.
             OSError: its shard cannot be read.
         """
         shard, row = self.locate(index)
         return self._open_shards.shard(shard).sample(row)
 
     def locate(self, index: int) -> tuple[ShardFacts, int]:
-        """Return the shard that a frame is in, and its row there; an IndexError where there is no such frame."""
+        """Return the shard of a frame and the frame's row there; raise an IndexError if there is no such frame."""
         count = len(self)
         if not -count <= index < count:
             raise IndexError(f"index must lie in [{-count}, {count}), got {index}")
@@ -95,8 +95,8 @@ class Archive:
         """Yield the samples in order.
 
         Args:
-            on_damage: is called with a shard that cannot be read and why, and the rest of that shard is left out; None
-                raises instead.
+            on_damage: called with an unreadable shard and the reason; the rest of that shard is left out. None raises
+                instead.
 
         Raises:
             ValueError: a shard is damaged, and there is no ``on_damage``.
@@ -113,7 +113,7 @@ class Archive:
                 on_damage(facts, str(error))
 
     def abouts(self, shard: ShardFacts) -> list[dict[str, Any]]:
-        """Return what one of the shards says of each frame beside its arrays; errors as ``[]``."""
+        """Return the metadata of each frame of a shard; raises like ``[]``."""
         return self._open_shards.shard(shard).abouts()
 
     @property
@@ -127,7 +127,7 @@ class Archive:
         return tuple(dict.fromkeys(shard.split for shard in self.shards))
 
     def split(self, name: str) -> Archive:
-        """Return the scenes of one split.
+        """Return the part of the archive with the scenes of one split.
 
         Raises:
             ValueError: there is no such split.
@@ -136,18 +136,18 @@ class Archive:
         return self._with(shard for shard in self.shards if shard.split == name)
 
     def of_scenes(self, scenes: Iterable[str]) -> Archive:
-        """Return the frames of some scenes.
+        """Return the part of the archive with some scenes.
 
         Raises:
             ValueError: there is no such scene.
         """
-        wanted = set(scenes)
-        if not wanted <= set(self.scenes):
-            raise ValueError(f"scenes must be among those of the archive, got {sorted(wanted - set(self.scenes))}")
-        return self._with(shard for shard in self.shards if shard.scene in wanted)
+        names = set(scenes)
+        if not names <= set(self.scenes):
+            raise ValueError(f"scenes must be among those of the archive, got {sorted(names - set(self.scenes))}")
+        return self._with(shard for shard in self.shards if shard.scene in names)
 
     def folds(self, count: int, seed: int = 0) -> Iterator[tuple[Archive, Archive]]:
-        """Yield ``count`` pairs (rest, held out) for cross-validation; no scene is in both, each is held out once.
+        """Yield ``count`` pairs (rest, held_out out) for cross-validation; each scene is held_out out exactly once.
 
         Raises:
             ValueError: there are fewer scenes than folds, or fewer than two folds.
@@ -157,14 +157,14 @@ class Archive:
             raise ValueError(f"count must lie in [2, {len(scenes)}], the number of scenes, got {count}")
         order = np.random.default_rng(seed).permutation(len(scenes))
         for fold in range(count):
-            held = {scenes[k] for k in order[fold::count]}
-            yield self.of_scenes(set(scenes) - held), self.of_scenes(held)
+            held_out = {scenes[k] for k in order[fold::count]}
+            yield self.of_scenes(set(scenes) - held_out), self.of_scenes(held_out)
 
     def verify(self) -> Iterator[tuple[ShardFacts, str | None]]:
-        """Yield each shard with what is wrong with it in one line, or None.
+        """Yield each shard with a one-line description of its damage, or None.
 
-        Length, checksum and what the shard's own footer says are compared with the manifest. The checksum finds damage,
-        not forgery: whoever can write the shards can write the manifest as well.
+        Length, checksum and the shard's own footer are compared with the manifest. The checksum detects damage, not
+        forgery: whoever can write the shards can also write the manifest.
         """
         for facts in self.shards:
             yield facts, damage_of(self.store, facts, self.manifest.layout)
@@ -174,7 +174,7 @@ class Archive:
 
 
 class _OpenShards:
-    """Opens shards when they are first read, again in each process: the last used files, and all footers read."""
+    """Opens shards on first use in each process; caches the last used files and all footers that were read."""
 
     def __init__(self, store: Storage, layout: Layout) -> None:
         self._store, self._layout = store, layout
@@ -186,7 +186,7 @@ class _OpenShards:
         return _OpenShards, (self._store, self._layout)
 
     def shard(self, facts: ShardFacts) -> Shard:
-        """Return an open shard that is the one of the manifest."""
+        """Return an open shard, checked against the manifest."""
         if self._process != os.getpid():
             self._process, self._files = os.getpid(), OrderedDict()
         name = facts.name
@@ -209,7 +209,7 @@ class ArchiveSource:
 
     @classmethod
     def open(cls, place: Path | str) -> ArchiveSource:
-        """Return the archive in a folder or at a URI; errors as :meth:`Archive.open`."""
+        """Open the archive in a folder or at a URI; raises like :meth:`Archive.open`."""
         return cls(Archive.open(place))
 
     def scenes(self) -> tuple[str, ...]:
@@ -217,11 +217,11 @@ class ArchiveSource:
         return self.archive.scenes
 
     def split(self, scene: str) -> str:
-        """Return the name of the split that a scene belongs to."""
+        """Return the name of a scene's split."""
         return next(shard.split for shard in self.archive.shards if shard.scene == scene)
 
     def refs(self, scene: str) -> list[SweepRef]:
-        """Return the sweeps of a scene in time order; of a shard that cannot be read there are none."""
+        """Return the sweeps of a scene in time order, without those of unreadable shards."""
         if scene not in self.scenes():
             raise ValueError(f"scene must be one of the {len(self.scenes())} of the archive, got {scene!r}")
         rows: list[tuple[str, int, dict[str, Any]]] = []
@@ -234,7 +234,7 @@ class ArchiveSource:
         self._damage.extend(problem for problem in problems if problem not in self._damage)
         if not rows:
             raise ValueError(problems[0])
-        from viewshed.recordings.read.source import SweepRef  # brings all readers of recordings, slow to import
+        from viewshed.recordings.read.source import SweepRef  # slow: imports all readers of recordings
 
         rows.sort(key=lambda row: row[2].get("t_ns") or 0)
         return [
@@ -248,11 +248,11 @@ class ArchiveSource:
         return self.sample(ref).sweep
 
     def measured(self, ref: SweepRef) -> StoredSweep | Sweep:
-        """Return a sweep as it is stored: the range image where there is one."""
+        """Return a sweep as stored: a range image, or points."""
         return self.sample(ref).measured
 
     def sample(self, ref: SweepRef) -> Sample:
-        """Return a sweep with its truth, to compare with."""
+        """Return a sweep with its truth."""
         name, _, frame = ref.key.rpartition(":")
         start = 0
         for facts in self.archive.shards:
@@ -266,11 +266,11 @@ class ArchiveSource:
         return None
 
     def damage(self) -> tuple[str, ...]:
-        """Return one line for each shard that could not be read so far."""
+        """Return one line for each shard that was found unreadable so far."""
         return tuple(self._damage)
 
     def notes(self) -> tuple[str, ...]:
-        """Return nothing: an archive lacks nothing."""
+        """Return nothing: an archive is always complete."""
         return ()
 
 
@@ -278,15 +278,15 @@ class _Archives:
     """Reads archives for commands that take recordings: :class:`viewshed.recordings.recording.DataSets`."""
 
     def open(self, place: Path | str) -> ArchiveSource:
-        """Return the archive in a folder or at a URI."""
+        """Open the archive in a folder or at a URI."""
         return ArchiveSource.open(place)
 
     def sweeps(self, place: Path | str, split: str | None = None) -> Iterator[tuple[str, Sweep]]:
-        """Yield the sweeps of an archive, or of one of its splits, each with the name of its scene."""
+        """Yield (scene, sweep) of an archive, or of one of its splits."""
         archive = Archive.open(place)
         for sample in archive if split is None else archive.split(split):
             yield sample.scene, sample.sweep
 
 
 ARCHIVES = _Archives()
-"""The entry point of ``viewshed.recordings``."""
+"""Entry point of ``viewshed.recordings``."""

@@ -1,8 +1,8 @@
-"""Building archives: shard by shard by an engine, resuming where an earlier run stopped; or sample by sample.
+"""Build archives: shard by shard with an engine, resuming an interrupted run; or sample by sample.
 
-:func:`build_archive` is for data sets that can be planned: every shard is a job, the jobs run anywhere in any order,
-and the bytes are the same. While it runs, the manifest says ``"complete": false`` and lists what is finished, so that a
-run that was stopped goes on where it was. :func:`write_archive` is for samples of any origin.
+:func:`build_archive` is for data sets that can be planned: every shard is a job; the jobs run anywhere in any order and
+give the same bytes. During a run the manifest has ``"complete": false`` and lists the finished shards, so that an
+interrupted run resumes. :func:`write_archive` is for samples of any origin.
 """
 
 from __future__ import annotations
@@ -25,36 +25,36 @@ from viewshed_lab.data.archive.storage import Storage
 from viewshed_lab.data.sample import Sample
 
 FRAMES_PER_SHARD = 48
-"""Frames of a shard, at most: a shard of points then has some 25 MB."""
+"""Largest number of frames of a shard: a shard of points then has about 25 MB."""
 
 PROBLEMS = "problems.json"
-"""What had to be left out of an archive, by shard; a file of its own, for its lines may name places."""
+"""File of the samples that were left out, by shard; not in the manifest, because its lines may name locations."""
 
 _DETAILS = ("command", "config", "targets")
 _SAVE_EVERY_S = 1.0
-_SAVE_SHARE = 0.05  # of the time, at most: a manifest of many shards is long
+_SAVE_SHARE = 0.05  # largest share of the time for saving: a manifest of many shards is long
 
 
 @dataclass(frozen=True, slots=True)
 class ShardJob:
-    """What a worker must know to build one shard."""
+    """Input of a worker to build one shard."""
 
-    name: str  # of its file
-    # yields its samples, all of one scene, and adds to the list that it is given one line for each sample that had to
-    # be left out; a function of a module with its arguments (``functools.partial``)
+    name: str  # of the file
+    # yields the samples, all of one scene, and appends one line to the given list for each sample that is left out;
+    # must be picklable: a ``functools.partial`` of a module's function
     samples: Callable[[list[str]], Iterator[Sample]]
 
 
 @dataclass(frozen=True, slots=True)
 class ShardResult:
-    """One built shard: its facts, or None where there was nothing to write, and one line for each sample left out."""
+    """A finished job: facts of the shard, or None if it had no samples, and one line for each sample left out."""
 
     facts: ShardFacts | None
     problems: tuple[str, ...] = ()
 
     @property
     def frames(self) -> int:
-        """Number of frames that were written."""
+        """Number of written frames."""
         return 0 if self.facts is None else self.facts.frames
 
 
@@ -66,24 +66,24 @@ def build_archive(
     engine: Engine,
     on_progress: Callable[[ShardResult], None] | None = None,
 ) -> Archive:
-    """Return the archive of some shards, built into ``store``; its bytes do not depend on the engine.
+    """Build shards into ``store`` and return the archive; its bytes do not depend on the engine.
 
     Args:
-        recipe: how it is made, as plain values: ``command``, what else names it, ``config`` and ``targets``.
-        layout: of all its frames.
-        jobs: its shards, in order.
-        store: where it goes.
-        engine: builds the shards.
-        on_progress: is called with each finished shard, also of an earlier run, with the problems that it had.
+        recipe: how it is made, as plain values: ``command``, further names, ``config`` and ``targets``.
+        layout: of all frames.
+        jobs: the shards, in order.
+        store: destination.
+        engine: runs the jobs.
+        on_progress: called with each finished shard, including those of an earlier run.
 
     Raises:
-        ValueError: the place holds something else.
-        OSError: a shard could not be built or written; those that are finished stay.
+        ValueError: the destination holds something else.
+        OSError: a shard could not be built or written; finished shards are kept.
     """
-    # 1. Claim the place: an empty one, or one that an earlier run of the same recipe began.
+    # 1. Claim the destination: empty, or begun by an earlier run of the same recipe.
     manifest = _claim(Manifest(recipe, layout, complete=False), store)
     store.clear_drafts()
-    # 2. Keep the shards that are there and whole.
+    # 2. Keep intact shards of an earlier run.
     results: dict[str, ShardResult] = {}
 
     def note(name: str, result: ShardResult) -> None:
@@ -98,7 +98,7 @@ def build_archive(
             note(name, ShardResult(listed[name], left_out.get(name, ())))
     if len(results) < len(manifest.shards):
         _save(manifest, results, jobs, store, tidy=True)
-    # 3. Build the others, and save now and then what is there.
+    # 3. Build the other shards, and save the manifest from time to time.
     next_s, missing = 0.0, [job for job in jobs if job.name not in results]
     try:
         with contextlib.closing(engine.run(partial(_build_shard, store), missing)) as run:
@@ -113,12 +113,12 @@ def build_archive(
         with contextlib.suppress(OSError):
             _save(manifest, results, jobs, store)
         raise
-    # 4. Only now is it an archive. A shard without frames is none, and is tried again by every run.
+    # 4. Mark the archive as complete. Shards without frames are not listed, so every run tries them again.
     return Archive(store, _save(replace(manifest, complete=True), results, jobs, store, tidy=True))
 
 
 def _build_shard(store: Storage, job: ShardJob) -> ShardResult:
-    """Return what became of a shard; without samples, it is left out."""
+    """Build one shard; without samples no file is written."""
     problems: list[str] = []
     samples = job.samples(problems)
     first = next(samples, None)
@@ -126,39 +126,39 @@ def _build_shard(store: Storage, job: ShardJob) -> ShardResult:
     return ShardResult(facts, tuple(problems))
 
 
-def _claim(wanted: Manifest, store: Storage) -> Manifest:
-    """Return the manifest so far, written now if there was none; refuse a place that holds anything else."""
+def _claim(planned: Manifest, store: Storage) -> Manifest:
+    """Return the manifest so far, or write ``planned``; raise a ValueError if the location holds anything else."""
     names = store.names()
     if MANIFEST not in names:
         if names:
             raise ValueError(f"{store.place} must be empty or hold this data set, got {names[0]}; choose another place")
-        wanted.write(store)
-        return wanted
+        planned.write(store)
+        return planned
     begun = Manifest.read(store)
-    _check_same(begun, wanted, store.place)
+    _check_same(begun, planned, store.place)
     claimed = replace(begun, code=code_version(begun.code.get("commits", ())))
     if claimed != begun:
         claimed.write(store)
     return replace(claimed, complete=False)
 
 
-def _check_same(begun: Manifest, wanted: Manifest, place: str) -> None:
-    """Check that a place was begun with the same recipe, layout and version; say what differs."""
-    ours, theirs = wanted.recipe, begun.recipe
+def _check_same(begun: Manifest, planned: Manifest, place: str) -> None:
+    """Check that the manifest ``begun`` has the same recipe, layout and version; the message names the difference."""
+    ours, theirs = planned.recipe, begun.recipe
     if theirs.get("command") != ours["command"]:
         raise ValueError(f"{place} must be empty or hold this data set, got another archive; choose another place")
     names = [key for key in ours if key not in _DETAILS]
     for key in names:
         if theirs.get(key) != ours[key]:
             raise ValueError(f"{place} holds {key} {theirs.get(key)}, not {ours[key]}; choose another place")
-    if theirs != ours or begun.layout != wanted.layout:
+    if theirs != ours or begun.layout != planned.layout:
         before, now = theirs.get("config", {}), ours["config"]
         other = [key for key in now if before.get(key) != now[key]]
         differs = ", ".join(other) or "targets"
         raise ValueError(f"{place} holds {ours[names[0]]} with other {differs}; choose another place")
-    if begun.code.get("version") != wanted.code["version"]:
+    if begun.code.get("version") != planned.code["version"]:
         raise ValueError(
-            f"{place} was begun with viewshed {begun.code.get('version')}, this is {wanted.code['version']}; "
+            f"{place} was begun with viewshed {begun.code.get('version')}, this is {planned.code['version']}; "
             "finish it with that version or choose another place"
         )
 
@@ -171,9 +171,9 @@ def _save(
     *,
     tidy: bool = False,
 ) -> Manifest:
-    """Write what was left out of the finished shards, then the manifest that lists them in order; return that.
+    """Write the problems of the finished shards, then the manifest that lists the shards in order; return the manifest.
 
-    ``tidy`` removes the lines of an earlier run where there are none now; it lists all files, so not after each shard.
+    ``tidy`` deletes an outdated problems file; it lists all files, so it is not done after each shard.
     """
     written = {job.name: results[job.name] for job in jobs if job.name in results and results[job.name].facts}
     problems = {name: list(result.problems) for name, result in written.items() if result.problems}
@@ -187,7 +187,7 @@ def _save(
 
 
 def _read_problems(store: Storage) -> dict[str, tuple[str, ...]]:
-    """Return the lines of :func:`_save`; none where they are missing or damaged."""
+    """Return the problems that :func:`_save` wrote; none if the file is missing or damaged."""
     with contextlib.suppress(FileNotFoundError, ValueError, AttributeError, TypeError):
         table = json.loads(store.read(PROBLEMS))
         return {str(name): tuple(map(str, lines)) for name, lines in table.items()}
@@ -200,13 +200,13 @@ def write_archive(
     recipe: Mapping[str, Any],
     frames_per_shard: int = FRAMES_PER_SHARD,
 ) -> Archive:
-    """Return the archive that ``samples`` were written to, one after the other; those of one scene follow each other.
+    """Write samples to an archive, one after the other, and return it; samples of one scene must be consecutive.
 
     Args:
-        place: a folder or a URI that is empty.
+        place: an empty folder or URI.
         samples: of any origin.
         recipe: how they were made, as plain values, for the manifest.
-        frames_per_shard: at most; a shard holds one scene.
+        frames_per_shard: largest number of frames of a shard; a shard holds one scene.
 
     Raises:
         ValueError: the place is not empty, there are no samples, they differ in grid, targets or definitions, or a

@@ -1,12 +1,12 @@
-"""From a sample to the row of columns that an archive stores, and back, bit by bit.
+"""Convert a sample to the columns that an archive stores, and back, bit by bit.
 
-A range image is stored as its steps; a sweep without one as points. An attacked sweep is stored as the range image that
-it was made from, the rows that the attacker made, and two masks: which rows those are, and which clean ones are gone.
+A range image is stored as its range steps, a sweep without one as points. An attacked sweep is stored as its clean
+range image, the rows that the attacker added, and two masks: which rows were added, and which clean rows were removed.
 
-Arrays become bytes that compress well. Parquet has encodings of its own for this. Measured on simulated frames of
-30,000 returns: as Arrow lists they take 1.6 times the size and 7 times the time to read, as plain bytes 1.3 times the
-size and the same time. What reads is compiled, for a frame is read again and again. All that unpack raise a ValueError
-where there are more or fewer bytes than the shape needs; arrays are read-only.
+Arrays are packed into bytes that compress well. Parquet's own encodings are worse: on simulated frames of 30,000
+returns, Arrow lists take 1.6 times the size and 7 times the time to read, plain bytes 1.3 times the size and the same
+time. Unpacking is compiled, because frames are read many times. All unpack functions raise a ValueError if the number
+of bytes does not fit the shape; their arrays are read-only.
 """
 
 from __future__ import annotations
@@ -36,10 +36,10 @@ _SHIFTS = np.arange(0, 8, 2, dtype=np.uint8)
 
 
 def pack_ranges(steps: NDArray[np.uint16]) -> bytes:
-    """Return the bytes of a range image (C, R): ring by ring the differences along the columns, low bytes first.
+    """Pack a range image (C, R): per ring the differences along the columns, all low bytes first.
 
-    Neighboring columns of one ring differ little, so the high bytes are almost all 0. A difference d is stored as the
-    zigzag number 2·d or -2·d - 1, modulo 2¹⁶.
+    Neighboring columns of a ring differ little, so almost all high bytes are 0. A difference d is stored as the zigzag
+    number 2·d or -2·d - 1, modulo 2¹⁶.
     """
     changes = np.ascontiguousarray(np.diff(steps.T, axis=1, prepend=np.uint16(0))).view(np.int16)
     return pack_column((changes << 1) ^ (changes >> 15))
@@ -66,7 +66,7 @@ def _unpack_ranges(raw: Any, steps: Any) -> None:
 
 
 def pack_states(states: NDArray[np.uint8]) -> bytes:
-    """Return four states of 0 to 3 in each byte, the first in the lowest bits.
+    """Pack states of 0 to 3, four per byte, the first in the lowest bits.
 
     >>> pack_states(np.array([1, 2, 3, 0, 3], np.uint8)).hex()
     '3903'
@@ -93,7 +93,7 @@ def _unpack_states(raw: Any, states: Any) -> None:
 
 
 def pack_masks(masks: NDArray[np.bool_]) -> bytes:
-    """Return one bit a cell, each of the masks (M, …) padded to whole bytes, the first cell in the highest bit.
+    """Pack masks (M, …) into one bit per cell, each mask padded to whole bytes, the first cell in the highest bit.
 
     >>> pack_masks(np.array([[True, False, True]])).hex()
     'a0'
@@ -109,7 +109,7 @@ def unpack_masks(raw: Buffer, shape: tuple[int, int, int]) -> NDArray[np.bool_]:
 
 
 def pack_column(values: NDArray[np.number[Any]]) -> bytes:
-    """Return the bytes of numbers (N,) or (N, k): all first bytes, all second bytes, and so on."""
+    """Pack numbers (N,) or (N, k): all first bytes, all second bytes, and so on."""
     return np.ascontiguousarray(values).reshape(-1, 1).view(np.uint8).T.tobytes()
 
 
@@ -128,7 +128,7 @@ def _merge(planes: Any, numbers: Any) -> None:
 
 
 def bytes_of(raw: Buffer, shape: tuple[int, ...]) -> Bytes:
-    """Return the uint8 array of ``shape`` that ``raw`` holds, without a copy."""
+    """Return ``raw`` as a uint8 array of ``shape``, without a copy."""
     return _exactly(raw, int(np.prod(shape))).reshape(shape)
 
 
@@ -147,24 +147,24 @@ def _frozen(array: NDArray[Any]) -> NDArray[Any]:
 _COLUMNS: dict[str, type[np.generic]] = {
     "intensity": np.float32, "ring": np.int16, "azimuth": np.float32, "time_s": np.float32,
 }  # fmt: skip
-"""The columns of a sweep beside its points, in the order in which they are stored."""
+"""Columns of a sweep besides its points, in stored order."""
 
 BLOBS = ("ranges", "intensity", "points", "returns", "states", "masks")
-"""The binary columns; ``about`` comes before them."""
+"""Binary columns; ``about`` comes before them."""
 
 TOUCHED = "touched"
-"""One more binary column, last, in archives of attacked sweeps; a reader that does not know it may pass over it."""
+"""Additional last binary column in archives of attacked sweeps; readers may ignore it."""
 
 Row = tuple[str, Buffer | None, Buffer | None, Buffer | None,
             Buffer, Buffer, Buffer, Buffer | None]  # fmt: skip
 """``about``, the columns of :data:`BLOBS`, and :data:`TOUCHED`."""
 
-MOST_MADE = 0.5
-"""Where a larger share of the rows is the attacker's, points alone are shorter."""
+MAX_ADDED_SHARE = 0.5
+"""If the attacker added a larger share of the rows, storing all points takes less space."""
 
 
 def row_of_sample(sample: Sample, layout: Layout, sensors: Sensors) -> Row:
-    """Return a sample as columns; its beam table is added to ``sensors``."""
+    """Convert a sample to columns; its beam table is added to ``sensors``."""
     truth, tampered = sample.truth, sample.tampered
     if Layout.of(truth) != layout:
         raise ValueError(f"truth must have the layout of the archive, {layout}, got {Layout.of(truth)}")
@@ -182,29 +182,29 @@ def row_of_sample(sample: Sample, layout: Layout, sensors: Sensors) -> Row:
 
 
 def _pack_measured(sample: Sample, sensors: Sensors) -> tuple[dict[str, Any], bytes | None, bytes | None, bytes | None]:
-    """Return what describes the sweep, and the columns ranges, intensity and points."""
+    """Return the metadata of the sweep, and its columns ranges, intensity and points."""
     measured, clean, tampered = sample.measured, sample.clean, sample.tampered
     if not isinstance(measured, Sweep):
         return _about(measured, sensors), *_pack_image(measured), None
-    made = None if clean is None or tampered is None else made_rows(clean.sweep(), tampered)
-    if clean is None or made is None:
+    rows = None if clean is None or tampered is None else added_rows(clean.sweep(), tampered)
+    if clean is None or rows is None:
         return _about(measured, sensors), None, None, _pack_points(measured)
-    return _about(made, sensors) | {"clean": _about(clean, sensors)}, *_pack_image(clean), _pack_points(made)
+    return _about(rows, sensors) | {"clean": _about(clean, sensors)}, *_pack_image(clean), _pack_points(rows)
 
 
 def sample_of_row(row: Row, footer: Footer) -> Sample:
-    """Return the sample of :func:`row_of_sample`; a ValueError where columns do not fit the footer or each other."""
+    """Return the sample of a row; raise a ValueError if its columns do not fit the footer or each other."""
     text, ranges, intensity, points, returns, states, masks, touched = row
     clean = tampered = None
     try:
         about, sensors = json.loads(text), footer.sensors
         measured = _image(about, ranges, intensity, sensors) if points is None else _sweep(about, points, sensors)
         if touched is not None:
-            # What simulates and reads clean sweeps needs no attacks.
+            # Imported here, because reading clean sweeps needs no attacks.
             from viewshed_lab.threats.attacks.base import Tampered, Wedge
 
-            rows, gone = int(about[TOUCHED]["added"]), int(about[TOUCHED]["removed"])
-            added, removed = np.split(unpack_masks(touched, (1, 1, rows + gone))[0, 0], [rows])
+            rows, clean_rows = int(about[TOUCHED]["added"]), int(about[TOUCHED]["removed"])
+            added, removed = np.split(unpack_masks(touched, (1, 1, rows + clean_rows))[0, 0], [rows])
             ends = about[TOUCHED]["wedge"]
             wedge = None if ends is None else Wedge(float(ends[0]), float(ends[1]))
             if "clean" in about and isinstance(measured, Sweep):
@@ -217,10 +217,10 @@ def sample_of_row(row: Row, footer: Footer) -> Sample:
     return Sample(measured, truth, known, footer.scene, footer.split, tampered, clean)
 
 
-def made_rows(clean: Sweep, tampered: Tampered) -> Sweep | None:
-    """Return the rows that an attacker made, where all others are those of the clean sweep, bit by bit; else None."""
+def added_rows(clean: Sweep, tampered: Tampered) -> Sweep | None:
+    """Return the rows that an attacker added; None if other rows are not the clean ones, or too many were added."""
     attacked, added, removed = tampered.sweep, tampered.added, tampered.removed
-    if np.count_nonzero(added) > MOST_MADE * len(attacked) or len(removed) != len(clean):
+    if np.count_nonzero(added) > MAX_ADDED_SHARE * len(attacked) or len(removed) != len(clean):
         return None
     for name in ("points", *_COLUMNS):
         after, before = getattr(attacked, name), getattr(clean, name)
@@ -231,28 +231,28 @@ def made_rows(clean: Sweep, tampered: Tampered) -> Sweep | None:
     return attacked.select(added)
 
 
-def merge_rows(clean: Sweep, made: Sweep, added: NDArray[np.bool_], removed: NDArray[np.bool_]) -> Sweep:
-    """Return the attacked sweep of :func:`made_rows`; all but its rows is that of ``made``.
+def merge_rows(clean: Sweep, rows: Sweep, added: NDArray[np.bool_], removed: NDArray[np.bool_]) -> Sweep:
+    """Return the attacked sweep of :func:`added_rows`; its fields other than the columns are those of ``rows``.
 
-    ``added`` (N,): which rows of the attacked sweep the attacker made; ``removed`` (M,): which clean rows are gone.
+    ``added`` (N,): which rows of the attacked sweep the attacker added; ``removed`` (M,): which clean rows are gone.
     """
     new, old, source = np.flatnonzero(added), np.flatnonzero(~added), np.flatnonzero(~removed)
-    if len(removed) != len(clean) or len(source) != len(old) or len(made) != len(new):
+    if len(removed) != len(clean) or len(source) != len(old) or len(rows) != len(new):
         counts = f"{len(source)} of {len(removed)} and {len(new)} in {len(added)}"
-        raise ValueError(f"touched must leave rows of {len(clean)} and add {len(made)}, got {counts}")
+        raise ValueError(f"touched must leave rows of {len(clean)} and add {len(rows)}, got {counts}")
     columns = {}
     for name in ("points", *_COLUMNS):
-        before, rows = getattr(clean, name), getattr(made, name)
-        if (before is None) != (rows is None):
+        before, after = getattr(clean, name), getattr(rows, name)
+        if (before is None) != (after is None):
             raise ValueError(f"what an attacker made must have {name} where the sweep has it")
-        if rows is not None:
+        if after is not None:
             column = columns[name] = np.empty((len(added), *before.shape[1:]), before.dtype)
-            column[old], column[new] = before[source], rows
-    return made.replace(**columns)
+            column[old], column[new] = before[source], after
+    return rows.replace(**columns)
 
 
 def _about(measured: StoredSweep | Sweep, sensors: Sensors) -> dict[str, Any]:
-    """Return what is neither array nor truth, as plain values; Python's floats survive JSON exactly."""
+    """Return the sweep's fields that are no arrays, as plain values; JSON keeps Python's floats exactly."""
     pose = measured.world_from_sensor
     about: dict[str, Any] = {
         "agent": measured.agent,
@@ -272,13 +272,13 @@ def _about(measured: StoredSweep | Sweep, sensors: Sensors) -> dict[str, Any]:
         "dropped_points": int(measured.dropped_points),
     }
     planar, covariance = measured.planar, measured.pose_covariance
-    seldom = {
+    optional = {
         "infer_sensor": None if measured.infer_sensor else False,
         "vehicle_yaw": None if measured.vehicle_yaw is None else float(measured.vehicle_yaw),
         "planar": None if planar is None else [planar.open_azimuth.tolist(), float(planar.max_range_m)],
         "pose_covariance": None if covariance is None else covariance.tolist(),
     }
-    return about | {name: value for name, value in seldom.items() if value is not None}
+    return about | {name: value for name, value in optional.items() if value is not None}
 
 
 def _pack_image(image: StoredSweep) -> tuple[bytes, bytes]:

@@ -1,26 +1,26 @@
-"""The format of an archive: what is common to all frames, what a shard's footer says, what the manifest says.
+"""Archive format: layout of all frames, footer of a shard, manifest.
 
-An archive is a folder (or a prefix of an object store) of Parquet files, the shards, and ``manifest.json``. A shard
-holds frames of one scene, one row group a frame, zstd level 1, page checksums on. Its columns
+An archive is a folder (or a prefix of an object store) with Parquet files, the shards, and ``manifest.json``. A shard
+holds frames of one scene, one row group per frame, zstd level 1, with page checksums. Its columns
 (:mod:`viewshed_lab.data.archive.columns`):
 
-- ``about``: JSON: agent, ``t_ns``, sensor (number of a beam table in the footer), height, pose, motion; for points
-  their number, columns, attitude and what else few sweeps say; ``clean`` of an attacked sweep.
-- ``ranges``: uint16 steps of range (C, R): ring by ring the zigzag differences along the columns, all low bytes, then
-  all high bytes; null for points.
+- ``about``: JSON with agent, ``t_ns``, sensor (number of a beam table in the footer), height, pose, motion; for points
+  their number, columns, attitude and rarely used fields; ``clean`` of an attacked sweep.
+- ``ranges``: uint16 range steps (C, R): per ring the zigzag differences along the columns, all low bytes, then all
+  high bytes; null for points.
 - ``intensity``: uint8 (C, R); null for points.
-- ``points``: of sweeps without a range image, and the rows that an attacker made: x y z float32, then the columns that
-  ``about`` names, each as all first bytes, all second bytes, and so on; else null.
+- ``points``: for sweeps without a range image, and for rows that an attacker added: x y z float32, then the columns
+  that ``about`` names, each as all first bytes, all second bytes, and so on; else null.
 - ``returns``: uint8 (targets, cells, cells): expected returns up to 255.
-- ``states``: (targets, cells, cells) of 0 to 3, four in a byte, the first in the lowest bits.
-- ``touched``: only of attacked data sets: rows that an attacker made, rows that are gone, the wedge.
-- ``masks``: (definitions + 1, cells, cells), eight in a byte, the first in the highest bit; the last is where the truth
-  is known.
+- ``states``: (targets, cells, cells) of 0 to 3, four per byte, the first in the lowest bits.
+- ``touched``: only in attacked data sets: rows that an attacker added, rows that were removed, the wedge.
+- ``masks``: (definitions + 1, cells, cells), eight per byte, the first in the highest bit; the last mask is where the
+  truth is known.
 
-What all its frames share is in its footer, :class:`Footer`, as JSON under ``viewshed``. The manifest lists the shards,
-:class:`Manifest`; while shards are written it says ``"complete": false``, and what had to be left out of a finished
-data set is in ``problems.json``. A damaged shard raises one line that names it; a manifest that does not fit its
-shards is refused. A checksum finds damage, not forgery: who can write the shards can write the manifest.
+The values that all frames share are in the shard's :class:`Footer`, as JSON under ``viewshed``. The :class:`Manifest`
+lists the shards; while shards are being written it has ``"complete": false``. ``problems.json`` lists what was left out
+of a finished data set. A damaged shard raises one line that names it; a manifest that does not fit its shards is
+rejected. Checksums detect damage, not forgery: whoever can write the shards can also write the manifest.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ from viewshed.sensors import LidarModel, lidar_model, sensor_names
 from viewshed_lab.data.archive.storage import Storage
 
 SCHEMA_VERSION = 1
-"""Of the columns and of the text in footer and manifest; a reader refuses any other."""
+"""Version of the columns, footer and manifest; readers reject any other."""
 
 MANIFEST = "manifest.json"
 REPAIR = "run the command that made the archive again, it writes anew only what is damaged or missing"
@@ -50,7 +50,7 @@ _KIND = "viewshed archive"
 
 
 def check_version(where: str, table: Any) -> None:
-    """Check the schema version in the plain values read from ``where``: it must be :data:`SCHEMA_VERSION`."""
+    """Check that the table read from ``where`` has version :data:`SCHEMA_VERSION`."""
     version = table.get("schema_version") if isinstance(table, dict) else None
     if version != SCHEMA_VERSION:
         known = f"schema_version must be {SCHEMA_VERSION}, got {version!r}"
@@ -59,7 +59,7 @@ def check_version(where: str, table: Any) -> None:
 
 @contextlib.contextmanager
 def reading(where: str) -> Iterator[None]:
-    """Make a ValueError of whatever a damaged file raises: one line that names it and the repair."""
+    """Turn every error of a damaged file into a ValueError: one line with the file and the repair."""
     import pyarrow as pa
 
     try:
@@ -70,11 +70,11 @@ def reading(where: str) -> Iterator[None]:
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """What all frames of an archive have in common."""
+    """Layout of the truth, the same for all frames of an archive."""
 
-    grid: BevGrid  # where the cells are
-    targets: tuple[str, ...]  # names of the truth's targets, in the order in which they are stored
-    definitions: tuple[str, ...]  # names of the truth's other definitions, in that order
+    grid: BevGrid  # of the truth
+    targets: tuple[str, ...]  # names of the truth's targets, in stored order
+    definitions: tuple[str, ...]  # names of the truth's other definitions, in stored order
 
     @classmethod
     def of(cls, truth: Truth) -> Layout:
@@ -83,7 +83,7 @@ class Layout:
 
     @classmethod
     def from_json(cls, table: Any) -> Layout:
-        """Return the layout of :meth:`to_json`; a ValueError where it is not one."""
+        """Return the layout of a table of :meth:`to_json`; raise a ValueError if it is not one."""
         try:
             x, y = table["offset_m"]
             grid = BevGrid(int(table["cells"]), float(table["half_extent_m"]), (float(x), float(y)))
@@ -92,7 +92,7 @@ class Layout:
             raise ValueError(f"a layout must have grid, targets and definitions: {error!r}") from error
 
     def to_json(self) -> dict[str, Any]:
-        """Return the layout as plain values."""
+        """Return the layout as a table of plain values."""
         return {
             "cells": self.grid.cells,
             "half_extent_m": float(self.grid.half_extent_m),
@@ -110,7 +110,7 @@ _SINGLES = ("name", "azimuth_columns", "min_range_m", "max_range_m", "source")
 def text_of_model(model: LidarModel) -> str:
     """Return a beam table as one line of JSON, angles in radians; equal tables give equal text.
 
-    The reach of one that is shipped is not in it: it is that of the table by its beams.
+    The reach of a shipped table is left out: its beams identify the table.
     """
     text = _text_of(model)
     shipped = _shipped_models().get(text)
@@ -129,7 +129,7 @@ def _text_of(model: LidarModel, **more: Any) -> str:
 
 @lru_cache(maxsize=256)
 def model_of_text(text: str) -> LidarModel:
-    """Return the beam table in a line of :func:`text_of_model`; one that is shipped is that very object."""
+    """Return the beam table of a line of :func:`text_of_model`; for a shipped table, the shipped object."""
     shipped = _shipped_models().get(text)
     if shipped is not None:
         return shipped
@@ -150,12 +150,12 @@ def _shipped_models() -> dict[str, LidarModel]:
 
 @dataclass(slots=True)
 class Sensors:
-    """The beam tables of one shard, by number in the order in which they were first met."""
+    """Beam tables of one shard, numbered in order of first use."""
 
     texts: list[str] = field(default_factory=list)
 
     def number(self, model: LidarModel | None) -> int | None:
-        """Return the number of a beam table, a new one if it was not met before; None where there is none."""
+        """Return the number of a beam table, adding it if it is new; None for None."""
         if model is None:
             return None
         text = text_of_model(model)
@@ -170,12 +170,12 @@ class Sensors:
 
 @dataclass(frozen=True, slots=True)
 class Footer:
-    """What the footer of a shard says, besides Parquet's own."""
+    """Our entry in the Parquet footer of a shard."""
 
-    scene: str  # all frames are from it
-    split: str  # that the scene belongs to
-    layout: Layout  # of all its frames
-    sensors: Sensors  # beam tables that its frames name by number
+    scene: str  # of all frames
+    split: str  # of the scene
+    layout: Layout  # of all frames
+    sensors: Sensors  # beam tables that the frames refer to by number
 
     def to_text(self) -> str:
         """Return the footer as JSON."""
@@ -184,7 +184,7 @@ class Footer:
 
     @classmethod
     def from_json(cls, table: Any) -> Footer:
-        """Return the footer in plain values; a ValueError where it is not a shard's."""
+        """Return the footer of a table; raise a ValueError if it is not a shard's."""
         try:
             sensors = Sensors([str(text) for text in table["sensors"]])
             return cls(str(table["scene"]), str(table["split"]), Layout.from_json(table["layout"]), sensors)
@@ -194,18 +194,18 @@ class Footer:
 
 @dataclass(frozen=True, slots=True)
 class ShardFacts:
-    """What a manifest says about one shard."""
+    """Entry of a shard in the manifest."""
 
-    name: str  # of the file, in the archive's place
-    scene: str  # all frames are from it
-    split: str  # that the scene belongs to
+    name: str  # of the file, relative to the archive
+    scene: str  # of all frames
+    split: str  # of the scene
     frames: int  # number of frames, at least 1
     bytes: int  # length of the file
     sha256: str  # of the file
 
     @classmethod
     def from_json(cls, table: Any) -> ShardFacts:
-        """Return the facts in plain values; a ValueError where keys or types are others, or a count is below 1."""
+        """Return the facts of a table; raise a ValueError for wrong keys or types, or a count below 1."""
         types = {"name": str, "scene": str, "split": str, "frames": int, "bytes": int, "sha256": str}
         if not isinstance(table, dict) or {key: type(value) for key, value in table.items()} != types:
             raise ValueError(f"a shard must have {', '.join(types)}, got {str(table)[:100]}")
@@ -215,18 +215,18 @@ class ShardFacts:
         return cls(**table)
 
     def to_json(self) -> dict[str, Any]:
-        """Return the facts as plain values."""
+        """Return the facts as a table of plain values."""
         return asdict(self)
 
 
 def code_version(commits: Sequence[str] = ()) -> dict[str, Any]:
-    """Return the version of this code and its commit, if that is known, among ``commits`` of earlier runs."""
-    own = _commit([*Path(__file__).resolve().parents][:7][-1])  # a package may lie nearer to the root
+    """Return the version of this code, and ``commits`` of earlier runs together with its own commit, if known."""
+    own = _commit([*Path(__file__).resolve().parents][:7][-1])  # an installed package may have fewer parents
     return {"version": viewshed.__version__, "commits": sorted({*commits, *([own] if own else [])})}
 
 
 def _commit(checkout: Path) -> str | None:
-    """Return the commit that a checkout's HEAD names, read from git's own files; None where it is no checkout."""
+    """Return the commit of a checkout's HEAD, read from git's files; None if it is no checkout."""
     git = checkout / ".git"
     try:
         head = (git / "HEAD").read_text(encoding="utf-8").strip()
@@ -243,10 +243,10 @@ def _commit(checkout: Path) -> str | None:
 
 @dataclass(frozen=True, slots=True)
 class Manifest:
-    """What an archive holds and how it was made. It names no machine and no time."""
+    """Content and origin of an archive, without machine and time."""
 
-    recipe: Mapping[str, Any]  # how the frames were made, as plain values: the command, preset, configuration and seeds
-    layout: Layout  # what all frames have in common
+    recipe: Mapping[str, Any]  # how the frames were made, as plain values: command, preset, configuration, seeds
+    layout: Layout  # of all frames
     shards: tuple[ShardFacts, ...] = ()  # in the order of the archive
     complete: bool = True  # False while shards are still being written
     code: Mapping[str, Any] = field(default_factory=code_version)  # version and commits of the code that wrote it
@@ -257,7 +257,7 @@ class Manifest:
         return sum(shard.frames for shard in self.shards)
 
     def text(self) -> str:
-        """Return the manifest as JSON, one shard a line."""
+        """Return the manifest as JSON, one line per shard."""
         about = {
             "kind": _KIND,
             "schema_version": SCHEMA_VERSION,
@@ -272,15 +272,15 @@ class Manifest:
         return f'{head},\n "shards": [\n{lines}\n ]\n}}\n'
 
     def write(self, store: Storage) -> None:
-        """Write the manifest into the archive's place; an OSError where that cannot be."""
+        """Write the manifest to the archive; raise an OSError on failure."""
         store.write(MANIFEST, self.text().encode())
 
     @classmethod
     def read(cls, store: Storage) -> Manifest:
-        """Return the manifest in a place.
+        """Read the manifest of an archive.
 
         Raises:
-            ValueError: it is damaged, contradicts itself, is of another schema version, or there is none.
+            ValueError: it is missing, damaged, inconsistent, or of another schema version.
             OSError: it cannot be read.
         """
         where = f"{store.place}/{MANIFEST}"
@@ -297,9 +297,9 @@ class Manifest:
     @classmethod
     def _from_json(cls, table: dict[str, Any]) -> Manifest:
         shards = tuple(ShardFacts.from_json(shard) for shard in table["shards"])
-        twice = [name for name, count in Counter(shard.name for shard in shards).items() if count > 1]
-        if twice:
-            raise ValueError(f"it lists {twice[0]} twice")
+        duplicates = [name for name, count in Counter(shard.name for shard in shards).items() if count > 1]
+        if duplicates:
+            raise ValueError(f"it lists {duplicates[0]} twice")
         total = sum(shard.frames for shard in shards)
         if table["frames"] != total:
             raise ValueError(f"frames must be {total}, those of all shards, got {table['frames']}")

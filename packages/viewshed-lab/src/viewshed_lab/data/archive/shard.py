@@ -1,4 +1,4 @@
-"""Shard: one Parquet file with some frames of one scene, one row group a frame."""
+"""Shard: one Parquet file with frames of one scene, one row group per frame."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ if TYPE_CHECKING:
 
 
 ZSTD_LEVEL = 1
-"""Higher levels save little and cost much (docs/results/datasets.md)."""
+"""Higher levels save little space and cost much time (docs/results/datasets.md)."""
 
 _KEY = "viewshed"
 
 
 def write_shard(store: Storage, name: str, samples: Iterable[Sample]) -> ShardFacts:
-    """Return the facts of the shard that holds ``samples``, written whole or not at all.
+    """Write ``samples`` to a shard, atomically, and return its facts.
 
     Raises:
         ValueError: there are no samples, or they differ in scene, split, grid, targets or definitions.
@@ -41,7 +41,7 @@ def write_shard(store: Storage, name: str, samples: Iterable[Sample]) -> ShardFa
 
 
 def _encode(first: Sample, rest: Iterable[Sample]) -> tuple[bytes, int]:
-    """Return a Parquet file of samples, and how many they are; one is in memory at a time."""
+    """Return the content of a Parquet file of samples, and their number; only one sample is in memory at a time."""
     with needed_for("a data set in an archive"):
         import pyarrow as pa
         import pyarrow.parquet as pq
@@ -72,10 +72,10 @@ class Shard:
     """An open shard; :meth:`sample` reads one frame.
 
     Args:
-        store: the archive's place.
+        store: location of the archive.
         name: of the file.
-        content: of the file, if it was read before; None reads what is needed from the store.
-        metadata: of this file, if it was read before; opening is faster with it.
+        content: of the file, if already read; None reads what is needed from the store.
+        metadata: of the file, if already read, for faster opening.
 
     Raises:
         ValueError: the file is damaged or of another schema version.
@@ -102,14 +102,14 @@ class Shard:
 
     @property
     def metadata(self) -> pq.FileMetaData:
-        """Parquet's own footer."""
+        """The Parquet footer."""
         return self._file.metadata
 
     def __len__(self) -> int:
         return int(self._file.metadata.num_row_groups)
 
     def check(self, facts: ShardFacts, layout: Layout) -> None:
-        """Refuse a manifest that differs from the shard's own footer: a manifest is a text that anybody can edit."""
+        """Raise a ValueError if the manifest, which anybody can edit, differs from the shard's own footer."""
         rows = self._file.metadata.num_rows
         own = {
             "scene": self.footer.scene, "split": self.footer.split, "frames": len(self), "layout": self.footer.layout,
@@ -123,7 +123,7 @@ class Shard:
                 raise ValueError(f"a row group must hold one frame, got {rows} rows in {len(self)}")
 
     def sample(self, index: int) -> Sample:
-        """Return the sample with this number; its points are computed when they are first needed."""
+        """Return sample ``index``; its points are computed on first use."""
         with reading(self.name):
             batch = self._file.read_row_group(index, use_threads=False)
             about, *blobs = (batch.column(name)[0] for name in ("about", *BLOBS))
@@ -132,17 +132,17 @@ class Shard:
             return sample_of_row(row, self.footer)
 
     def abouts(self) -> list[dict[str, Any]]:
-        """Return what describes each frame beside its arrays, without reading these."""
+        """Return the metadata of each frame, without reading its arrays."""
         with reading(self.name):
             return [json.loads(text) for text in self._file.read(columns=["about"]).column("about").to_pylist()]
 
     def close(self) -> None:
-        """Give the file back."""
+        """Close the file."""
         self._file.close(force=True)
 
 
 def damage_of(store: Storage, facts: ShardFacts, layout: Layout) -> str | None:
-    """Return one line that says why a shard is not the one that the manifest lists, or None if it is."""
+    """Return a one-line reason why a shard differs from the manifest, or None if it does not."""
     try:
         content = store.read(facts.name)
     except OSError as error:

@@ -1,4 +1,4 @@
-"""A place for the files of a data set: a folder, or a prefix of an object store."""
+"""Storage of a data set's files: a folder, or a prefix of an object store."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ if TYPE_CHECKING:
 
 
 SCHEMES = ("file", "s3", "gs", "gcs", "abfs", "abfss")
-"""What a place may begin with, besides a folder's name."""
+"""Allowed schemes of a URI."""
 
-_REQUESTS = 16  # under way at a time
-_DRAFT = re.compile(r"\..+\.[0-9a-f]{12}\.part")  # what viewshed._files writes beside a file
+_MAX_REQUESTS = 16  # at a time
+_DRAFT = re.compile(r"\..+\.[0-9a-f]{12}\.part")  # temporary files of viewshed._files
 
 _REPAIRS = {
     r"NO_SUCH_BUCKET|NoSuchBucket|no such bucket|[Bb]ucket.*(not found|does not exist)": "create the bucket first",
@@ -50,22 +50,22 @@ _LOCAL_REPAIRS = {
 
 @dataclass(frozen=True, slots=True)
 class Storage:
-    """Files by name below one place; small enough to travel to other processes and machines.
+    """Files by name below one location; small enough to send to other processes and machines.
 
-    What cannot be listed, read, written or removed is an OSError of one line that names it and, if known, the repair.
+    Failures to list, read, write or delete raise an OSError whose one line names the file and, if known, the repair.
     """
 
-    uri: str = field(repr=False)  # the place with its options, which may hold secrets; show :attr:`place` instead
+    uri: str = field(repr=False)  # with options, which may hold secrets; show :attr:`place` instead
 
     @classmethod
     def of(cls, place: str | os.PathLike[str]) -> Storage:
-        """Return the store at a folder (made when it is first written to) or at a URI with one of :data:`SCHEMES`.
+        """Return the storage of a folder (created on the first write) or of a URI with one of :data:`SCHEMES`.
 
         >>> Storage.of("s3://bucket/sweeps?region=eu-central-1").place
         's3://bucket/sweeps'
 
         Raises:
-            ValueError: the scheme is not known, or the URI or its options are wrong.
+            ValueError: the scheme is unknown, or the URI or its options are wrong.
         """
         text = os.fspath(place)
         scheme, separator, rest = text.partition("://")
@@ -81,7 +81,7 @@ class Storage:
 
     @property
     def place(self) -> str:
-        """The folder or the URI, without options and credentials: fit for messages."""
+        """The folder or the URI, for messages: without options and credentials."""
         if self.folder is not None:
             return str(self.folder)
         parts = urlsplit(self.uri)
@@ -99,12 +99,12 @@ class Storage:
             return bytes(file.read())
 
     def open(self, name: str) -> pa.NativeFile:
-        """Return a file that can be read anywhere, for ``pyarrow.parquet``; close it after use."""
+        """Return a seekable file for ``pyarrow.parquet``; close it after use."""
         with _named(self, name):
             return self._files.open_input_file(self._path(name))
 
     def write(self, name: str, content: bytes) -> None:
-        """Write a file, whole or not at all; one that exists is replaced."""
+        """Write or replace a file, atomically."""
         path = self._path(name)
         with _named(self, name):
             if self.folder is not None:
@@ -113,28 +113,28 @@ class Storage:
                 return
             try:
                 stream = self._files.open_output_stream(path)
-                stream.write(content)  # an object appears when its stream is closed, so not after a failure
+                stream.write(content)  # an object appears only when its stream is closed, so not after a failure
                 stream.close()
             except FileNotFoundError as error:
                 raise OSError(f"{one_line(error, 200)}: no such bucket") from error
 
     def names(self) -> list[str]:
-        """Return the names of all files but those left half written, sorted; [] where the place is not there."""
+        """Return the sorted names of all files except partial ones; [] if the location does not exist."""
         return [name for name in self._listed() if not _is_draft(name)]
 
     def delete(self, *names: str) -> None:
-        """Remove files, several at a time: an object store answers one request in the time of many."""
+        """Delete files, several at a time: an object store answers many requests in the time of one."""
 
         def delete(name: str, path: str) -> None:
             with _named(self, name):
                 self._files.delete_file(path)
 
         paths = {name: self._path(name) for name in names}
-        with ThreadPoolExecutor(_REQUESTS) as pool:
+        with ThreadPoolExecutor(_MAX_REQUESTS) as pool:
             list(pool.map(delete, paths, paths.values()))
 
     def clear_drafts(self) -> None:
-        """Remove what killed writers left half written; nobody else may be writing. Object stores keep no drafts."""
+        """Delete partial files of killed writers (object stores have none); no other writer may be active."""
         if self.folder is None:
             return
         self.delete(*(name for name in self._listed() if _is_draft(name)))
@@ -145,8 +145,8 @@ class Storage:
         root = _opened(self.uri)[1]
         with _named(self, ""):
             infos = self._files.get_file_info(pafs.FileSelector(root, recursive=True, allow_not_found=True))
-        found = (info for info in infos if info.type == pafs.FileType.File)
-        return sorted(str(PurePosixPath(info.path).relative_to(root)) for info in found)
+        files = (info for info in infos if info.type == pafs.FileType.File)
+        return sorted(str(PurePosixPath(info.path).relative_to(root)) for info in files)
 
     @property
     def _files(self) -> pafs.FileSystem:
@@ -177,7 +177,7 @@ def _is_draft(name: str) -> bool:
 
 @contextlib.contextmanager
 def _named(store: Storage, name: str) -> Iterator[None]:
-    """Give an OSError one line that names the place and, where we know it, the repair; its type and errno stay."""
+    """Reword an OSError as one line that names the file and, if known, the repair; keep its type and errno."""
     with needed_for("a data set in an archive"):
         import pyarrow as pa
     where = f"{store.place}/{name}" if name else store.place
@@ -187,7 +187,7 @@ def _named(store: Storage, name: str) -> Iterator[None]:
         named = type(error)(f"{where}: {_repair(error, store.folder is not None)}")
         named.errno = error.errno
         raise named from error
-    except pa.ArrowException as error:  # Azure's client has errors of its own
+    except pa.ArrowException as error:  # raised by Azure's client
         raise OSError(f"{where}: {_repair(error, False)}") from error
 
 

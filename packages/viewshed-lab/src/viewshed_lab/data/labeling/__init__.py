@@ -1,4 +1,4 @@
-"""Labels: what each sweep of a benign recording could have seen, from it and its neighbors in time."""
+"""Labels of benign recordings: what each sweep could have seen, from the sweep and its neighbors in time."""
 
 from __future__ import annotations
 

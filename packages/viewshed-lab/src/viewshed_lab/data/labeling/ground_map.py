@@ -1,7 +1,7 @@
-"""Ground from several sweeps: far ground is seen when the sensor gets there.
+"""Estimate the ground from several sweeps: ground that is far away in one sweep is close in another.
 
-Each sweep leaves its two lowest returns of every node of a lattice that is fixed to the world. Those of the sweeps
-around one are laid together, and the walk of :mod:`viewshed.preprocess.ground` goes over them as over a single sweep.
+Every sweep contributes its two lowest returns per node of a lattice that is fixed to the world. The lows of the sweeps
+around one are merged, and :mod:`viewshed.preprocess.ground` processes them like those of a single sweep.
 """
 
 from __future__ import annotations
@@ -20,15 +20,15 @@ from viewshed.preprocess.ground import ground_of_lows
 from viewshed.preprocess.leveling import LeveledSweep
 
 NODES_PER_HALF = 64
-"""Nodes of the lattice in half the side of the grid: 1 m on roads, twice as fine as for a single sweep."""
+"""Lattice nodes per half side of the grid: 1 m on roads, twice as fine as for a single sweep."""
 
 REACH = 1.42
-"""Half the side of the patch of ground about a sweep, in half sides of the grid: its corners, however it is turned."""
+"""Half side of the ground patch around a sweep, in half sides of the grid: covers the grid's corners at any yaw."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Lows:
-    """The two lowest returns of a sweep in each node of the world's lattice that has any."""
+    """The two lowest returns of a sweep in each occupied node of the world's lattice."""
 
     node: NDArray[np.int32]  # (K, 2) int32 node along x and y
     points: NDArray[np.float64]  # (K, 2, 3) float64 world coordinates, the lowest first; NaN where there is no second
@@ -37,10 +37,10 @@ class Lows:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Patch:
-    """Ground about a sensor on a lattice with the axes of the world."""
+    """Ground around a sensor, on a lattice with the axes of the world."""
 
     ground: HeightMap  # z from the sensor, over x and y from ``center_m``
-    center_m: NDArray[np.float64]  # (2,) middle of the patch from the sensor, meters in world axes
+    center_m: NDArray[np.float64]  # (2,) center of the patch from the sensor, meters in world axes
     yaw: float  # heading of the sensor in the world
 
     def at(self, xy: NDArray[Any]) -> NDArray[np.float32]:
@@ -48,11 +48,11 @@ class Patch:
         return self.ground.at(self._place(xy))
 
     def seen(self, xy: NDArray[Any]) -> NDArray[np.bool_]:
-        """Return whether the ground below points (N, 2) in the axes of ``level`` rests on returns."""
+        """Return whether the ground below points (N, 2) in the axes of ``level`` was measured by returns."""
         ground, count = self.ground, len(self.ground.seen)
         node = np.floor((self._place(xy) / ground.half_extent_m + 1) * count / 2).astype(np.intp).clip(0, count - 1)
-        rests: NDArray[np.bool_] = ground.seen[node[:, 0], node[:, 1]]
-        return rests
+        measured: NDArray[np.bool_] = ground.seen[node[:, 0], node[:, 1]]
+        return measured
 
     def _place(self, xy: NDArray[Any]) -> NDArray[np.float32]:
         c, s = np.cos(self.yaw), np.sin(self.yaw)
@@ -61,44 +61,44 @@ class Patch:
 
 
 def lows_of(points: NDArray[np.float32], world_from_points: Rigid, node_m: float, reach_m: float) -> Lows:
-    """Return the lowest of points (N, 3), at most ``reach_m`` from their origin, in nodes of the world.
+    """Return the lowest points per node of the world, of points (N, 3) within ``reach_m`` of their origin.
 
     >>> lows_of(np.array([[0.2, 1.2, 5.0], [0.3, 1.3, 4.0]], np.float32), Rigid.identity(), 1.0, 9.0).points[0, :, 2]
     array([4., 5.])
     """
-    middle = np.floor(world_from_points.translation[:2] / node_m).astype(np.int64)
+    center = np.floor(world_from_points.translation[:2] / node_m).astype(np.int64)
     count = 2 * int(np.ceil(reach_m / node_m)) + 1
-    corner = middle - count // 2
+    corner = center - count // 2
     rows = np.full((count * count, 3), -1, np.int32)
     world = np.empty((len(points), 3))
     _lowest(points, world_from_points.as_matrix()[:3], corner, np.float32(reach_m), node_m, count, world, rows)
     used = np.flatnonzero(rows[:, 0] >= 0)
     lowest_m = np.full((len(used), 3, 3), np.nan)
-    some = rows[used] >= 0
-    lowest_m[some] = world[rows[used][some]]
+    present = rows[used] >= 0
+    lowest_m[present] = world[rows[used][present]]
     node = np.stack([used // count, used % count], axis=-1) + corner
     return Lows(node.astype(np.int32), lowest_m[:, :2], lowest_m[:, 2, 2])
 
 
 def patch_of(leveled: LeveledSweep, around: Iterable[Lows], half_extent_m: float, node_m: float) -> Patch:
-    """Return the ground about ``level``, in whose world the lows of all sweeps ``around`` it lie.
+    """Return the ground around a sweep, from the lows of the sweeps ``around`` it in the same world.
 
     Args:
-        leveled: the sweep; without a pose its own ``level`` frame stands for the world.
-        around: its own lows among them.
+        leveled: the sweep; without a pose, its ``level`` frame is the world.
+        around: lows, including those of the sweep itself.
         half_extent_m: half the side of the grid.
-        node_m: side of a node, that of the lows.
+        node_m: side of a node, the same as of the lows.
     """
     pose = leveled.sweep.world_from_sensor
     sensor = np.array([0.0, 0.0, leveled.sensor_height_m]) if pose is None else pose.translation
     count = 4 * int(np.ceil(REACH * half_extent_m / node_m / 2))
     corner = np.round(sensor[:2] / node_m).astype(np.int64) - count // 2
     lows, rise = np.full((count, count, 2, 3), np.inf, np.float32), np.full((count, count), np.inf, np.float32)
-    laid = list(around)
-    for one in laid:
-        _lay(one.node, one.points, corner, sensor, lows)
-    for one in laid:
-        _lay_rise(one.node, one.top_m - sensor[2], corner, lows, rise)
+    sweeps = list(around)
+    for sweep in sweeps:
+        _merge_lows(sweep.node, sweep.points, corner, sensor, lows)
+    for sweep in sweeps:
+        _merge_rise(sweep.node, sweep.top_m - sensor[2], corner, lows, rise)
     rise[~np.isfinite(rise)] = 0.0
     second = np.isfinite(lows[:, :, 1, 2])[..., None]
     lowest = np.where(second, lows[:, :, 1], lows[:, :, 0])
@@ -109,8 +109,8 @@ def patch_of(leveled: LeveledSweep, around: Iterable[Lows], half_extent_m: float
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _lay(node: Any, points: Any, corner: Any, sensor: Any, lows: Any) -> None:
-    """Lay a sweep's lows, seen from the sensor, on those there are; the two lowest of all stay."""
+def _merge_lows(node: Any, points: Any, corner: Any, sensor: Any, lows: Any) -> None:
+    """Merge a sweep's lows, from the sensor, into ``lows`` (count, count, 2, 3); keep the two lowest per node."""
     count = lows.shape[0]
     for k in range(node.shape[0]):
         i, j = node[k, 0] - corner[0], node[k, 1] - corner[1]
@@ -133,8 +133,8 @@ def _lowest(
 ) -> None:
     """Fill ``rows`` (count², 3) with the rows of the lowest, the second-lowest and the highest point of each node.
 
-    Points (N, 3) up to ``reach`` from their origin count; ``transform`` (3, 4) takes them to ``world`` (N, 3), where
-    nodes of side ``node_m`` are counted from ``corner`` (2,).
+    Points (N, 3) beyond ``reach`` are ignored; ``transform`` (3, 4) maps the others to ``world`` (N, 3), where nodes of
+    side ``node_m`` are indexed from ``corner`` (2,).
     """
     for k in range(points.shape[0]):
         x, y, z = points[k, 0], points[k, 1], points[k, 2]
@@ -145,12 +145,12 @@ def _lowest(
             world[k, axis] = row[0] * x + row[1] * y + row[2] * z + row[3]
         i, j = int(np.floor(world[k, 0] / node_m)) - corner[0], int(np.floor(world[k, 1] / node_m)) - corner[1]
         if i >= 0 and j >= 0 and i < count and j < count:
-            _note(rows[i * count + j], k, world)
+            _update_node(rows[i * count + j], k, world)
 
 
 @njit(cache=True, nogil=True, inline="always", error_model="numpy")
-def _note(node: Any, k: Any, world: Any) -> None:
-    """Take point ``k`` into the rows of a node (3,); the highest is -1 while there is only one point."""
+def _update_node(node: Any, k: Any, world: Any) -> None:
+    """Add point ``k`` to the rows of a node (3,); the highest is -1 while there is only one point."""
     first, second, z = node[0], node[1], world[k, 2]
     if first >= 0 and (node[2] < 0 or z > world[node[2], 2]):
         node[2] = k if z > world[first, 2] or node[2] >= 0 else first
@@ -161,8 +161,8 @@ def _note(node: Any, k: Any, world: Any) -> None:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _lay_rise(node: Any, top: Any, corner: Any, lows: Any, rise: Any) -> None:
-    """Keep the least height of a sweep's highest return above the lowest of all: what passed by does not stay."""
+def _merge_rise(node: Any, top: Any, corner: Any, lows: Any, rise: Any) -> None:
+    """Keep the minimum over sweeps of the highest return above the lowest: things that only passed by are removed."""
     count = rise.shape[0]
     for k in range(node.shape[0]):
         i, j = node[k, 0] - corner[0], node[k, 1] - corner[1]

@@ -1,8 +1,6 @@
-"""The label of one sweep: what it could have seen, from the sweep and those around it in time.
+"""Label a sweep: what it could have seen, from its own beams and the ground of the sweeps around it in time.
 
-The sweeps of one sensor in time order, and what those around each of them say about the ground.
-
-The definitions themselves are counted, in whole beams, with the loops of the exact truth.
+Visibility is counted in whole beams, with the loops of the exact truth.
 """
 
 from __future__ import annotations
@@ -35,60 +33,60 @@ from viewshed_lab.sim.truth.exact import MAX_BINS
 Definition = Literal["probe", "farthest", "first_blocker"]
 
 DEFINITIONS: tuple[Definition, ...] = get_args(Definition)
-"""For which of them a label can say where it is known; it holds the masks of all."""
+"""Definitions for which ``known`` can be computed; a label holds the masks of all of them."""
 
 TARGETS: tuple[Target, Target] = (CAR, PEDESTRIAN)
 
 EGO_BOX_M, EGO_HEIGHTS_M = (_core.EGO_LENGTH_M, _core.EGO_WIDTH_M), (_core.LEAST_EGO_HEIGHT_M, _core.MOST_EGO_HEIGHT_M)
-"""Half length and half width of the vehicle below the sensor, and heights of a sensor at which one is assumed."""
+"""Half length and half width of the vehicle below the sensor, and the sensor heights at which one is assumed."""
 
 MANY_BEAMS = 50
-"""A target that more beams reach is seen whatever the ground and the missing beams."""
+"""A target that more beams reach is visible whatever the ground error and the missing beams."""
 
-GROUND_M, GROUND_PER_M, GROUND_MOST_M = 0.03, 0.03, 0.4
-"""Error that the ground may have where it was seen, its growth for each meter from there, and its maximum."""
+GROUND_ERROR_M, GROUND_ERROR_PER_M, MAX_GROUND_ERROR_M = 0.03, 0.03, 0.4
+"""Assumed ground error where the ground was seen, its growth per meter from there, and its maximum."""
 
 LOWS_REACH = 1.5
-"""Returns help to find the ground up to so far from the sensor, in half sides of the grid."""
+"""Largest range of the returns that the ground is estimated from, in half sides of the grid."""
 
 
 @dataclass(frozen=True, slots=True)
 class LabelRules(Checked):
-    """How sweeps are labeled.
+    """Settings of labeling.
 
     Raises:
         ValueError: a value is out of range.
     """
 
-    grid: BevGrid = GRIDS["road"]  # where the cells are
-    definition: Definition = "probe"  # what ``known`` is about
-    target: Annotated[str, OneOf(("car", "pedestrian"))] = "car"  # what would have to be seen, for ``probe``
-    # sweeps before and after one that help to label it, at most; 0 labels each sweep by itself
+    grid: BevGrid = GRIDS["road"]  # of the label
+    definition: Definition = "probe"  # definition of visibility that ``known`` refers to
+    target: Annotated[str, OneOf(("car", "pedestrian"))] = "car"  # object type of ``probe``
+    # largest number of sweeps before and after a sweep that help to label it; 0 labels each sweep by itself
     neighbors: Annotated[int, Between(0, 1000)] = 20
 
     @property
     def node_m(self) -> float:
-        """Side of the nodes on which ground is kept: 1 m on roads."""
+        """Side of the nodes of the ground lattice: 1 m on roads."""
         return self.grid.half_extent_m / NODES_PER_HALF
 
 
 def lows_of_sweep(sweep: Sweep, rules: LabelRules) -> Lows:
-    """Return the lowest returns of ``sweep`` in the world, or in its own ``level`` frame if it has no pose."""
+    """Return the lowest returns of a sweep in the world frame, or in its ``level`` frame if it has no pose."""
     return _lows_of_level(level(sweep, rules.grid), rules)
 
 
 def label_sweep(sweep: Sweep, drift: Drift, around: Sequence[Lows], rules: LabelRules) -> tuple[Truth, Mask]:
-    """Return the label of a sweep and where it is trusted (cells, cells).
+    """Return the label of a sweep and the mask (cells, cells) bool where it is known.
 
-    The probe is counted on every beam of the sensor's pattern, over the ground of all sweeps around. It is trusted
-    where the count is on the same side of the target's least number of returns whatever became of the missing beams
-    and whether the ground is a little higher or lower.
+    The probe is counted on every beam of the sensor's pattern, over the ground of all sweeps around. It is known where
+    the count stays on the same side of the target's minimum number of returns for all possible ends of the missing
+    beams, and for ground that is a little higher or lower.
 
     Args:
-        sweep: a benign one.
-        drift: how the sensor moved within it.
-        around: lows of the sweeps around it, in the same world; its own are added.
-        rules: how.
+        sweep: a benign sweep.
+        drift: motion of the sensor within the sweep.
+        around: lows of the sweeps around it, in the same world; the sweep's own lows are added.
+        rules: settings.
     """
     leveled = level(sweep, rules.grid)
     image = beam_image(sweep, leveled.level_from_sensor.rotation, drift)
@@ -104,31 +102,31 @@ def _lows_of_level(leveled: LeveledSweep, rules: LabelRules) -> Lows:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Labeling:
-    """One sweep on its way to its label."""
+    """Intermediate values of labeling one sweep."""
 
-    rules: LabelRules  # how it is labeled
-    image: BeamImage  # its beams
-    patch: Patch  # the ground about it
+    rules: LabelRules  # settings
+    image: BeamImage  # beams of the sweep
+    patch: Patch  # ground around it
     ends: BeamEnds  # where its beams ended
     has_vehicle: bool  # whether a vehicle is assumed below the sensor
 
     def result(self) -> tuple[Truth, Mask]:
-        """Return the label and where it is trusted."""
+        """Return the label and the mask where it is known."""
         grid = self.rules.grid
         ground = self.patch.at(grid.centers.reshape(-1, 2))
         lines = self._lines(self.ends.best_m)
         things = self._things()
         reached, state = reached_and_states(lines, things.reshape(-1), ground, grid, TARGETS)
         definitions, returned = self._definitions(lines, things)
-        known = self._sure(reached, ground) if self.rules.definition == "probe" else returned
-        return Truth(grid, reached, state, definitions), known & ~self._own()
+        known = self._is_robust(reached, ground) if self.rules.definition == "probe" else returned
+        return Truth(grid, reached, state, definitions), known & ~self._own_cells()
 
     def _lines(self, depth_m: F32) -> BeamLines:
-        """Return the beams of the sweep, which ended at depths (C, R)."""
+        """Return the beams of the sweep, ending at depths (C, R)."""
         return BeamLines.of(self.image.origin_m, self.image.direction, depth_m, self.image.max_range_m)
 
     def _things(self) -> Mask:
-        """Return which beams (C, R) ended on a thing that is not the own vehicle."""
+        """Return which beams (C, R) ended on a thing other than the own vehicle."""
         things: Mask = self.ends.thing | (self.ends.kind == SURFACE)
         if not self.has_vehicle:
             return things
@@ -137,10 +135,10 @@ class _Labeling:
         return things & ~own
 
     def _definitions(self, lines: BeamLines, things: Mask) -> tuple[dict[str, Mask], Mask]:
-        """Return the other definitions (cells, cells), and the cells whose azimuth bin has a return.
+        """Return the masks of the other definitions (cells, cells), and the cells whose azimuth bin has a return.
 
-        Ground gives light back: a beam that nothing stopped before it counts as a return from there, though the sensor
-        was too weak to get it. A bin without any return of its own is not known.
+        A beam that reached the ground counts as a return from there, even if the sensor did not measure one. A bin
+        without any measured return is unknown.
         """
         grid, kind = self.rules.grid, self.ends.kind
         bins = min(self.image.pixels.shape[0], MAX_BINS)
@@ -155,26 +153,26 @@ class _Labeling:
         before = inside & (range_m - np.float32(grid.cell_m) <= blocker[index])
         return {"farthest": inside, "first_blocker": before}, returned[index]
 
-    def _sure(self, reached: dict[str, NDArray[np.uint8]], ground: F32) -> Mask:
-        """Return where (cells, cells) the probe does not hang on missing beams or on the ground."""
+    def _is_robust(self, reached: dict[str, NDArray[np.uint8]], ground: F32) -> Mask:
+        """Return the cells (cells, cells) whose probe does not depend on missing beams or the ground error."""
         rules, grid = self.rules, self.rules.grid
         target = next(one for one in TARGETS if one.name == rules.target)
         counts = reached[target.name].reshape(-1)
         doubtful = counts <= max(MANY_BEAMS, 4 * target.min_returns)
         seen = self.patch.seen(grid.centers.reshape(-1, 2)).reshape(grid.shape)
-        away = distance_transform_edt(~seen) * grid.cell_m if seen.any() else np.full(grid.shape, np.inf)
-        wrong = np.minimum(GROUND_M + GROUND_PER_M * away, GROUND_MOST_M).astype(np.float32).reshape(-1)
-        verdicts = []
-        for depth in (self.ends.least_m, self.ends.most_m):
+        distance_m = distance_transform_edt(~seen) * grid.cell_m if seen.any() else np.full(grid.shape, np.inf)
+        error_m = np.minimum(GROUND_ERROR_M + GROUND_ERROR_PER_M * distance_m, MAX_GROUND_ERROR_M).astype(np.float32)
+        heights, unchanged = (ground - error_m.reshape(-1), ground + error_m.reshape(-1)), []
+        for depth in (self.ends.min_m, self.ends.max_m):
             lines = self._lines(depth)
-            for height in (ground - wrong, ground + wrong):
+            for height in heights:
                 again = count_targets(lines, grid, height, TARGETS, doubtful)[target.name][1]
-                verdicts.append((again >= target.min_returns) == (counts >= target.min_returns))
-        sure: Mask = np.all(verdicts, axis=0) | ~doubtful
-        return sure.reshape(grid.shape)
+                unchanged.append((again >= target.min_returns) == (counts >= target.min_returns))
+        robust: Mask = np.all(unchanged, axis=0) | ~doubtful
+        return robust.reshape(grid.shape)
 
-    def _own(self) -> Mask:
-        """Return the cells (cells, cells) of the own vehicle, and those nearer than the sensor moved."""
+    def _own_cells(self) -> Mask:
+        """Return the cells (cells, cells) of the own vehicle, and those closer than the sensor moved."""
         grid = self.rules.grid
         moved = np.sqrt((self.image.origin_m[..., :2] ** 2).sum(axis=-1).max())
         own: Mask = polar_of_cells(grid)[0] <= moved
@@ -186,48 +184,47 @@ class _Labeling:
 R = TypeVar("R")
 
 SPACING = 1 / 20
-"""Sweeps that help are at least so far apart, in half sides of the grid: 3.2 m on roads."""
+"""Smallest distance between neighbors that help with a label, in half sides of the grid: 3.2 m on roads."""
 
 READ_AHEAD = 3
-"""How many sweeps are looked at for each one that may help."""
+"""Number of sweeps to read for each neighbor that may help."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LabeledDrive(Generic[R]):
-    """Sweeps of one sensor, looked through once."""
+    """Sweeps of one sensor, with the poses and lows that their labels need."""
 
-    sweep_of: Callable[[R], Sweep]  # reads one
+    sweep_of: Callable[[R], Sweep]  # reads one sweep
     refs: Sequence[R]  # in time order
-    rules: LabelRules  # how they are labeled
-    # where and when each was measured; None where it was not looked at or could not be read
-    poses: Sequence[StampedPose | None]
-    lows: dict[int, Lows]  # of those that help, by their place
+    rules: LabelRules  # settings
+    poses: Sequence[StampedPose | None]  # of each sweep; None where it was not read or is unreadable
+    lows: dict[int, Lows]  # of the well-spaced neighbors, by index
 
     @classmethod
     def of(
         cls, sweep_of: Callable[[R], Sweep], refs: Sequence[R], rules: LabelRules, span: tuple[int, int] | None = None
     ) -> LabeledDrive[R]:
-        """Return the track of ``refs``, looked through as far as the labels of those in ``span`` (all) need it."""
+        """Read the sweeps that the labels of those in ``span`` (default: all) need."""
         first, last = (0, len(refs)) if span is None else span
         ahead = READ_AHEAD * rules.neighbors
         poses: list[StampedPose | None] = [None] * len(refs)
         lows: dict[int, Lows] = {}
-        last_post: StampedPose | None = None
+        last_neighbor: StampedPose | None = None
         for index in range(max(first - ahead, 0), min(last + ahead, len(refs))):
             try:
                 sweep = sweep_of(refs[index])
-            except (ValueError, OSError):  # reported when it is labeled
+            except (ValueError, OSError):  # reported by label()
                 continue
             pose = StampedPose(sweep.world_from_sensor, sweep.t_ns)
             poses[index] = pose
-            helps = well_spaced([last_post, pose], SPACING * rules.grid.half_extent_m)
+            helps = well_spaced([last_neighbor, pose], SPACING * rules.grid.half_extent_m)
             if rules.neighbors and helps and helps[-1] == 1:
                 lows[index] = lows_of_sweep(sweep, rules)
-                last_post = pose
+                last_neighbor = pose
         return cls(sweep_of, refs, rules, poses, lows)
 
     def label(self, index: int) -> tuple[Truth, Mask]:
-        """Return the label of the sweep at ``place``, and where it is trusted.
+        """Return the label of sweep ``index`` and the mask where it is known.
 
         Raises:
             ValueError: the sweep is damaged.
@@ -237,7 +234,7 @@ class LabeledDrive(Generic[R]):
         now = StampedPose(sweep.world_from_sensor, sweep.t_ns)
         before = self.poses[index - 1] if index else None
         after = self.poses[index + 1] if index + 1 < len(self.refs) else None
-        # The lows of the nearest posts before and after, its own left out.
+        # The nearest well-spaced neighbors before and after, without the sweep itself.
         near = [k for k in self.lows if k < index][-self.rules.neighbors :]
         near += [k for k in self.lows if k > index][: self.rules.neighbors]
         near = [] if now.world_from_sensor is None else near

@@ -1,4 +1,4 @@
-"""A recording labeled from start to end: an archive whose truth is the label."""
+"""Label a whole recording: write an archive whose truth is the label."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from functools import lru_cache, partial
-from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -28,32 +27,32 @@ from viewshed_lab.data.labeling.labeler import TARGETS, LabeledDrive, LabelRules
 from viewshed_lab.data.sample import Sample
 
 SPLIT = "all"
-"""Name of the split of recordings that have none."""
+"""Split name of recordings without splits."""
 
 
 @dataclass(frozen=True, slots=True)
 class Origin:
-    """A recording that is labeled; small enough to travel to other processes.
+    """A recording to label; small enough to send to other processes.
 
     Raises:
         ValueError: no beam table has this name.
     """
 
     place: str  # folder, file or URI
-    kind: str = "auto"  # a name in ``SOURCES``, "archive", "index", or "auto" to know it by its layout
-    # a beam table's name for sweeps that do not name theirs, "auto" to know it by the returns, or "none"
+    kind: str = "auto"  # a name in ``SOURCES``, "archive", "index", or "auto" to detect it from the layout
+    # beam table of sweeps that do not name theirs, "auto" to identify it from the returns, or "none"
     sensor: str = "auto"
-    every: bool = False  # whether sweeps that the recording does not mark as keyframes are labeled as well
+    every: bool = False  # whether to label sweeps that are not keyframes, too
 
     def __post_init__(self) -> None:
         if self.sensor not in ("auto", "none"):
             lidar_model(self.sensor)
 
     def open(self) -> SweepSource:
-        """Return the recording.
+        """Open the recording.
 
         Raises:
-            ValueError: it is damaged, or its layout is not known.
+            ValueError: it is damaged, or its layout is unknown.
             OSError: it cannot be read.
         """
         if self.kind == "index":
@@ -70,21 +69,20 @@ def label(
     engine: Engine,
     on_progress: Callable[[ShardResult], None] | None = None,
 ) -> Archive:
-    """Return the archive of a recording's sweeps with their labels, made into ``store``.
+    """Label a recording into ``store`` and return the archive; its bytes do not depend on the engine.
 
-    The same bytes for any engine. Sweeps that cannot be read are left out and reported to ``on_progress``; labels of an
-    earlier run that was stopped are kept.
+    Unreadable sweeps are left out and reported to ``on_progress``; labels of an interrupted run are kept.
 
     Args:
         origin: the recording; of an archive only the sweeps are read.
-        rules: how it is labeled.
-        store: where the archive goes.
-        engine: makes the shards.
-        on_progress: is called with each shard that is done, and of what could not be read.
+        rules: settings.
+        store: destination.
+        engine: runs the jobs.
+        on_progress: called with each finished shard and with problems.
 
     Raises:
-        ValueError: the recording has no sweeps, or the place holds something else.
-        OSError: something cannot be read or written.
+        ValueError: the recording has no sweeps, or the destination holds something else.
+        OSError: a file cannot be read or written.
     """
     jobs, problems, listing = jobs_of(origin, rules)
     if on_progress is not None and problems:
@@ -96,7 +94,7 @@ def label(
 
 
 def recipe_of(origin: Origin, rules: LabelRules, listing: Sequence[Any]) -> dict[str, Any]:
-    """Return how a recording was labeled, as plain values; ``listing`` names its sweeps."""
+    """Return the recipe of a labeled recording as plain values; ``listing`` identifies its sweeps."""
     source = Path(Storage.of(origin.place).place).name  # a URI's options may hold secrets
     about = {"command": "label", "source": source, "definition": rules.definition}
     config = {"kind": origin.kind, "sensor": origin.sensor, "every": origin.every}
@@ -106,13 +104,13 @@ def recipe_of(origin: Origin, rules: LabelRules, listing: Sequence[Any]) -> dict
 
 
 def jobs_of(origin: Origin, rules: LabelRules) -> tuple[list[ShardJob], tuple[str, ...], list[Any]]:
-    """Return the shards of a recording's labels, in order, a line for each thing that is damaged, and its sweeps."""
+    """Return the jobs that label a recording, in order; one line per problem; and a listing of its sweeps."""
     source = opened(origin)
     jobs: list[ShardJob] = []
     if isinstance(source, ArchiveSource) and source.archive.manifest.recipe.get("command") == "attack":
         raise ValueError(f"{source.archive.store.place} must be benign, got one under attack; label its source")
     listing = [shard.sha256 for shard in source.archive.shards] if isinstance(source, ArchiveSource) else list[Any]()
-    problems = [*source.damage(), *source.notes()]  # a label needs poses, and all that was measured
+    problems = [*source.damage(), *source.notes()]  # a label needs poses and all columns
     for number, scene in enumerate(source.scenes()):
         try:
             refs = source.refs(scene)
@@ -120,11 +118,11 @@ def jobs_of(origin: Origin, rules: LabelRules) -> tuple[list[ShardJob], tuple[st
             problems.append(" ".join(str(error).split()))
             continue
         listing += [(scene, Path(ref.file).name, ref.t_ns, ref.key) for ref in refs]
-        # Sensors in the order in which they come, and how many of their sweeps are labeled.
+        # Sensors in order of appearance, and the number of their sweeps to label.
         counts = Counter(dict.fromkeys(((ref.agent, ref.sensor) for ref in refs), 0))
         counts.update((ref.agent, ref.sensor) for ref in refs if ref.keyframe or origin.every)
-        for track, (sensor, wanted) in enumerate(counts.items()):
-            for part, first in zip(count(), range(0, wanted, FRAMES_PER_SHARD)):
+        for track, (sensor, sweeps) in enumerate(counts.items()):
+            for part, first in enumerate(range(0, sweeps, FRAMES_PER_SHARD)):
                 name = f"{number:04d}-{track:02d}-{part:03d}.parquet"
                 part_of = slice(first, first + FRAMES_PER_SHARD)
                 jobs.append(ShardJob(name, partial(labeled_samples, origin, rules, scene, sensor, part_of)))
@@ -135,16 +133,16 @@ def jobs_of(origin: Origin, rules: LabelRules) -> tuple[list[ShardJob], tuple[st
 def labeled_samples(
     origin: Origin, rules: LabelRules, scene: str, sensor: tuple[str, str], part: slice, problems: list[str]
 ) -> Iterator[Sample]:
-    """Yield labeled samples of one sensor in a scene, a part of all; what cannot be read is a line of ``problems``."""
+    """Yield the labeled samples of one sensor in a part of a scene; report unreadable sweeps in ``problems``."""
     source = opened(origin)
     split = source.split(scene) if isinstance(source, ArchiveSource) else SPLIT
     refs = [ref for ref in source.refs(scene) if (ref.agent, ref.sensor) == sensor]
-    wanted = [index for index, ref in enumerate(refs) if ref.keyframe or origin.every][part]
+    indices = [index for index, ref in enumerate(refs) if ref.keyframe or origin.every][part]
     sweep_of = partial(_with_beams, source, origin.sensor, [])
-    track = LabeledDrive.of(sweep_of, refs, rules, (wanted[0], wanted[-1] + 1))
-    for index in wanted:
+    drive = LabeledDrive.of(sweep_of, refs, rules, (indices[0], indices[-1] + 1))
+    for index in indices:
         try:
-            truth, known = track.label(index)
+            truth, known = drive.label(index)
             measured = source.measured(refs[index]) if isinstance(source, ArchiveSource) else sweep_of(refs[index])
             yield Sample(measured, truth, known, scene, split)
         except (ValueError, OSError) as error:
@@ -153,25 +151,25 @@ def labeled_samples(
 
 @lru_cache(maxsize=1)
 def opened(origin: Origin) -> SweepSource:
-    """Return the recording, opened once by each process; errors as :meth:`Origin.open`."""
+    """Open the recording, once per process; raises like :meth:`Origin.open`."""
     return origin.open()
 
 
-def _with_beams(source: SweepSource, named: str, found: list[LidarModel | None], ref: SweepRef) -> Sweep:
-    """Return a sweep with its beam table, or with that of its sensor, which ``found`` keeps once it was looked for."""
+def _with_beams(source: SweepSource, sensor: str, cached: list[LidarModel | None], ref: SweepRef) -> Sweep:
+    """Return a sweep with its own beam table, or with that of ``sensor``, which is looked up once for ``cached``."""
     sweep = source.read(ref)
     if sweep.model is not None:
         return sweep
-    if not found:
-        known = None if named in ("auto", "none") else lidar_model(named)
-        found.append(infer_sensor(sweep.points, sweep.ring)[0] if named == "auto" else known)
-    [model] = found
+    if not cached:
+        named = None if sensor in ("auto", "none") else lidar_model(sensor)
+        cached.append(infer_sensor(sweep.points, sweep.ring)[0] if sensor == "auto" else named)
+    [model] = cached
     fits = model is not None and (sweep.ring is None or int(sweep.ring.max(initial=0)) < model.rings)
     return sweep.replace(model=model) if fits else sweep
 
 
 class _Index(RecordingSource):
-    """The sweeps that an index names; those of one drive are a scene, each other one its own."""
+    """The sweeps of an index file; the sweeps of a drive are one scene, every other sweep is a scene of its own."""
 
     def __init__(self, index: str) -> None:
         self.place = Path(index).absolute()
@@ -193,5 +191,5 @@ class _Index(RecordingSource):
             ]
 
     def _read(self, ref: SweepRef) -> Sweep:
-        """Return a sweep with what the index tells about it."""
+        """Return a sweep with the metadata of the index."""
         return read_indexed(self._drives[ref.scene][ref.index])

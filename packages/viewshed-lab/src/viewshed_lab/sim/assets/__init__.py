@@ -1,1 +1,1 @@
-"""Things that worlds are made of: buildings, vehicles, furniture, the street and the warehouse."""
+"""Assets of worlds: buildings, vehicles, furniture, street and warehouse objects."""

@@ -29,7 +29,7 @@ class Front:
 def town_house(rng: np.random.Generator, length_m: float, depth_m: float, plain: bool = False) -> Thing:
     """Return a building of 2 to 6 storeys: windows, a shop front, a wall with a recessed door, or ``plain`` walls.
 
-    What stands out of the front (bays, balconies, steps) does so by at most 1.2 m, and above 2.6 m unless it is a step.
+    Bays, balconies and steps project from the front by at most 1.2 m; all but steps are above 2.6 m.
     """
     storeys = int(rng.integers(2, 7))
     ground = rng.uniform(3.3, 4.4)
@@ -43,7 +43,7 @@ def town_house(rng: np.random.Generator, length_m: float, depth_m: float, plain:
 
 
 def glass_hall(rng: np.random.Generator, length_m: float, depth_m: float) -> Thing:
-    """Return a market or showroom: an unbroken glass front of 3.5 to 6 m, walls elsewhere, a roof that juts."""
+    """Return a market or showroom: an unbroken glass front of 3.5 to 6 m, walls elsewhere, a projecting roof."""
     high, room = rng.uniform(3.5, 6.0), 0.6 * depth_m
     parts: list[Shape] = [
         Box(0.0, 0.05, length_m - 0.4, _PANE_M, high, 0.1, 0.0, "glass"),
@@ -90,7 +90,7 @@ def glass_front(rng: np.random.Generator, length_m: float, depth_m: float) -> Th
 
 
 def _inside(rng: np.random.Generator, length_m: float, room_m: float, rise_m: float) -> list[Shape]:
-    """Return what stands in the ground floor behind a glass front: within its room, clear of the panes."""
+    """Return the furnishing of the ground floor behind a glass front, within its room and clear of the panes."""
     parts: list[Shape] = [
         Cylinder(float(x), 0.55 * room_m, 0.2, rise_m - 0.45, 0.0, "concrete")
         for x in np.arange(-length_m / 2 + 3.0, length_m / 2 - 2.0, rng.uniform(4.5, 7.0))
@@ -138,7 +138,7 @@ def garage(rng: np.random.Generator) -> Thing:
 
 
 def kiosk(rng: np.random.Generator) -> Thing:
-    """Return a booth of about 2.5 by 3 m with a window and a roof that juts."""
+    """Return a booth of about 2.5 by 3 m with a window and a projecting roof."""
     long, wide = rng.uniform(2.2, 3.0), rng.uniform(2.0, 2.6)
     parts = (
         Box(0.0, wide / 2, long, wide, 1.0, material="paint"),
@@ -150,7 +150,7 @@ def kiosk(rng: np.random.Generator) -> Thing:
 
 
 def _plain(rng: np.random.Generator, front: Front) -> list[Shape]:
-    """Return a body with pilasters: for buildings far off."""
+    """Return a body with pilasters, for distant buildings."""
     count = int(rng.integers(0, 3))
     body = Box(0.0, front.depth_m / 2, front.length_m, front.depth_m, front.height_m, _SUNK_M, 0.0, front.material)
     at = rng.uniform(-0.45, 0.45, count) * front.length_m
@@ -158,9 +158,9 @@ def _plain(rng: np.random.Generator, front: Front) -> list[Shape]:
 
 
 def _windows(rng: np.random.Generator, front: Front) -> list[Shape]:
-    """Return rooms behind one sheet of glass, and before it piers and bands, so that windows are left between them.
+    """Return two storeys of rooms behind one sheet of glass, with piers and bands before it that leave windows free.
 
-    Two storeys are made so, what is above is solid.
+    The storeys above are solid.
     """
     room, thick, sill = rng.uniform(2.5, 5.0), rng.uniform(0.25, 0.4), rng.uniform(0.7, 1.1)
     top = min(front.height_m, front.ground_m + front.storey_m)
@@ -222,7 +222,7 @@ def _panes(rng: np.random.Generator, front: Front) -> list[Shape]:
 
 
 def _shell(front: Front, room_m: float, high_m: float) -> list[Shape]:
-    """Return back wall and side walls of rooms ``room_m`` deep up to ``high_m``, and what is above and behind them."""
+    """Return back and side walls of rooms ``room_m`` deep up to ``high_m``, and the body above and behind them."""
     rear = front.depth_m - room_m
     parts: list[Shape] = [
         Box(0.0, room_m + rear / 2, front.length_m, rear, front.height_m, _SUNK_M, 0.0, "plaster"),

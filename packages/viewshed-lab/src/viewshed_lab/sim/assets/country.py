@@ -1,6 +1,6 @@
-"""Makers of what stands in the country: fences of posts and rails, bales, poles with wires, rocks, cattle.
+"""Makers of country objects: fences of posts and rails, bales, poles with wires, rocks, cattle.
 
-Makers of what stands on building sites and in yards: containers, piles, scaffolds, cranes, machines.
+Makers of objects on building sites and in yards: containers, piles, scaffolds, cranes, machines.
 """
 
 from __future__ import annotations
@@ -97,7 +97,7 @@ def _posts(length_m: float, radius_m: float, top_m: float) -> list[Cylinder]:
 
 
 def container(rng: np.random.Generator) -> Thing:
-    """Return a container of 6.1 or 12.2 m along x, now and then two or three on each other."""
+    """Return a container of 6.1 or 12.2 m along x, sometimes two or three on top of each other."""
     long, count = pick(rng, (6.06, 6.06, 12.19)), int(rng.integers(1, 4)) if rng.random() < 0.35 else 1
     parts = [Box(0.0, 0.0, long, 2.44, 2.6 * (k + 1), 2.6 * k - 0.3 * (k == 0), 0.0,
                  pick(rng, ("paint", "metal", "dark_paint"))) for k in range(count)]  # fmt: skip
@@ -154,7 +154,7 @@ def scaffold(rng: np.random.Generator, length_m: float, lifts: int) -> Thing:
 
 
 def shell(rng: np.random.Generator, length_m: float, depth_m: float) -> Thing:
-    """Return a building in the raw: slabs on columns, some walls, nothing in the openings."""
+    """Return the shell of a building: slabs on columns, some walls, empty openings."""
     floors, rise = int(rng.integers(1, 4)), rng.uniform(2.9, 3.4)
     parts: list[Shape] = []
     across = [

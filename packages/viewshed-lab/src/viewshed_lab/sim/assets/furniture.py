@@ -1,8 +1,6 @@
-"""Furniture: what stands in rooms and offices, each piece with the parts that a beam tells apart.
+"""Furniture of rooms and offices, detailed enough for single beams; fittings and people in buildings.
 
-A maker takes a generator for the sizes and returns a group about one origin: front along x, back at the lowest x.
-
-Fittings and people: doors, what hangs on walls, pillars, and those who stand, sit or walk in a building.
+A maker takes a generator for the sizes and returns a group around one origin: front along x, back at the lowest x.
 """
 
 from __future__ import annotations
@@ -19,7 +17,7 @@ from viewshed_lab.sim.assets.street import group, person, pick
 from viewshed_lab.sim.world import Thing
 
 Group = tuple[Thing, ...]
-"""Things that belong together and are placed about a common origin."""
+"""Things that are placed together, around a common origin."""
 
 Maker = Callable[[np.random.Generator], Group]
 """Makes one group; the generator gives sizes and materials."""
@@ -47,7 +45,7 @@ def bounds(group: Iterable[Thing]) -> NDArray[np.float64]:
 
 
 def footprint(group: Iterable[Thing]) -> tuple[float, float, float, float]:
-    """Return x and y from, x and y to in meters of a whole group, from above.
+    """Return (x min, y min, x max, y max) in meters of a group.
 
     >>> footprint((Thing("table", (Box(0.0, 0.0, 1.0, 2.0, 0.7),), x_m=3.0),))
     (2.5, -1.0, 3.5, 1.0)
@@ -111,7 +109,7 @@ def desk(rng: np.random.Generator) -> Group:
 
 
 def monitor(rng: np.random.Generator) -> Group:
-    """Return a screen on its foot, as it stands on a desk 0.74 m high; screens return nothing to speak of."""
+    """Return a screen on its foot, for a desk 0.74 m high; screens give almost no returns."""
     width = rng.uniform(0.5, 0.7)
     screen = Box(0.0, 0.0, 0.03, width, 1.2, 0.84, 0.0, pick(rng, ("absorber", "dark_paint")))
     return (Thing("monitor", (screen, Box(-0.04, 0.0, 0.14, 0.2, 0.9, 0.745, 0.0, "dark_paint"))),)
@@ -211,7 +209,7 @@ def bath(rng: np.random.Generator) -> Group:
 
 
 def basin(rng: np.random.Generator) -> Group:
-    """Return a wash basin on its column below a mirror, which sends the beam elsewhere."""
+    """Return a wash basin on its column below a mirror, which reflects beams away."""
     mirror = Box(-0.2, 0.0, 0.02, rng.uniform(0.5, 1.0), 1.85, 1.05, 0.0, "absorber")
     bowl = Box(0.0, 0.0, 0.42, 0.55, 0.86, 0.7, 0.0, "plaster")
     return (Thing("basin", (bowl, Cylinder(-0.08, 0.0, 0.09, 0.7, 0.0, "plaster"))), Thing("mirror", (mirror,)))
@@ -303,12 +301,12 @@ def pillar(rng: np.random.Generator, top_m: float, side_m: float) -> Group:
 
 
 def standing(rng: np.random.Generator) -> Group:
-    """Return somebody who stands."""
+    """Return a standing person."""
     return (person(rng),)
 
 
 def sitting(rng: np.random.Generator) -> Group:
-    """Return somebody on a chair."""
+    """Return a person on a chair."""
     tall = rng.uniform(0.8, 0.92)
     shins = tuple(Cylinder(0.3, side * 0.12, 0.06, 0.47, 0.0, "clothes") for side in (-1, 1))
     thighs = Box(0.12, 0.0, 0.44, 0.36, 0.61, 0.47, 0.0, "clothes")

@@ -1,6 +1,6 @@
-"""The convex solids that things are made of, in the frame of their thing (z from the local ground, meters).
+"""Convex solids that things consist of, in the frame of their thing (z from the local ground, meters).
 
-What surfaces are made of: how much they return, and whether a beam passes through.
+Materials of surfaces: reflectivity, and whether beams pass through.
 """
 
 from __future__ import annotations
@@ -18,14 +18,13 @@ from viewshed_lab._config import one_of
 class Material:
     """A surface or a volume."""
 
-    name: str  # what it is
-    # share of the light that comes back at normal incidence, 0 for none (absorbers, mirrors); above 1 for
-    # retroreflectors
+    name: str
+    # share of the light that returns at normal incidence, 0 for absorbers and mirrors, above 1 for retroreflectors
     reflectivity: float
-    # stops per meter of path: infinite for opaque things; finite for volumes that a beam may pass (leaves, wire mesh,
+    # hits per meter of path: infinite for opaque things; finite for volumes that a beam may pass (leaves, wire mesh,
     # panes), where the free path is exponential (Beer's law)
     per_m: float = float("inf")
-    gloss: float = 0.0  # what it sends back as a mirror does, at normal incidence and beside it within :data:`GLINT`
+    gloss: float = 0.0  # specular reflectivity, at normal incidence and within :data:`GLINT` of it
 
     def __post_init__(self) -> None:
         if not 0 <= self.reflectivity <= 10 or not self.per_m > 0 or not 0 <= self.gloss <= 10:
@@ -55,10 +54,10 @@ MATERIALS: tuple[Material, ...] = (
     Material("window", 0.012, per_m=18.0, gloss=0.8),
     Material("tinted", 0.02, per_m=60.0, gloss=1.2),
 )
-"""A beam that stops in glass is mirrored away and gives no return; panes are about 2 cm thick, so two in three pass. A
-cabin is the inside of a car behind its windows: seats some way in, and now and then out at the other side. Windows and
-tinted panes are glass with some dust on it, which returns a little near by, and with a mirror image of the sensor where
-it faces them; three in ten beams pass a tinted pane."""
+"""A beam that ends in glass is reflected away and gives no return; panes are about 2 cm thick, so two in three beams
+pass. A cabin is the inside of a car behind its windows: beams end some way in, or leave at the other side. Windows and
+tinted panes are glass with some dust, which returns a little at short range, and with a specular return where they face
+the sensor; three in ten beams pass a tinted pane."""
 
 _INDEX = {material.name: index for index, material in enumerate(MATERIALS)}
 
@@ -67,7 +66,7 @@ REFLECTIVITY: NDArray[np.float32] = np.array([material.reflectivity for material
 GLOSS: NDArray[np.float32] = np.array([material.gloss for material in MATERIALS], np.float32)
 
 GLINT = 0.05
-"""Angle of incidence, radians, at which the mirror image of a sensor is down to 1 / e."""
+"""Angle of incidence, radians, at which the specular return has fallen to 1 / e."""
 
 PER_M: NDArray[np.float32] = np.array([material.per_m for material in MATERIALS], np.float32)
 
@@ -125,7 +124,7 @@ class Cylinder:
 
     @property
     def yaw(self) -> float:
-        """No matter for a cylinder: 0."""
+        """Always 0: a cylinder has no heading."""
         return 0.0
 
     @property
@@ -166,7 +165,7 @@ KINDS: dict[type, int] = {Box: BOX, Cylinder: CYLINDER, Ellipsoid: ELLIPSOID}
 
 
 def ends_of(part: Shape, x_m: float = 0.0, y_m: float = 0.0, yaw: float = 0.0) -> tuple[float, float, float, float]:
-    """Return x and y from, x and y to in meters of a solid from above, whose thing is at (x, y), turned by ``yaw``."""
+    """Return (x min, y min, x max, y max) in meters of a solid whose thing is at (x, y), rotated by ``yaw``."""
     c, s = math.cos(yaw), math.sin(yaw)
     x, y = x_m + c * part.x_m - s * part.y_m, y_m + s * part.x_m + c * part.y_m
     a, b, _ = part.half_sizes_m

@@ -21,7 +21,7 @@ _POST_STEP_M = 4.0
 
 
 def pick(rng: np.random.Generator, options: Sequence[_T]) -> _T:
-    """Return one of ``options``, all as likely.
+    """Return one of ``options``, sampled uniformly.
 
     >>> pick(np.random.default_rng(0), ["only"])
     'only'
@@ -35,7 +35,7 @@ def place_at(thing: Thing, x_m: float, y_m: float, yaw: float = 0.0) -> Thing:
 
 
 def drive(thing: Thing, track: Track) -> Thing:
-    """Return the thing moving along ``track``."""
+    """Return the thing, moving along ``track``."""
     x_m, y_m, yaw = track.at(0.0)
     return replace(thing, x_m=x_m, y_m=y_m, yaw=yaw, track=track)
 
@@ -78,7 +78,7 @@ def person(rng: np.random.Generator, walking: bool = False) -> Thing:
 
 
 def group(rng: np.random.Generator, x_m: float, y_m: float) -> list[Thing]:
-    """Return two to four pedestrians who stand about (x, y) and face one another, within 0.9 m of it."""
+    """Return two to four pedestrians who stand within 0.9 m of (x, y) and face one another."""
     count, turn = int(rng.integers(2, 5)), rng.uniform(0, 2 * np.pi)
     angles = turn + 2 * np.pi * np.arange(count) / count
     return [place_at(person(rng), x_m + 0.6 * np.cos(a), y_m + 0.6 * np.sin(a), a + np.pi) for a in angles.tolist()]
@@ -116,7 +116,7 @@ def sign(rng: np.random.Generator) -> Thing:
 
 
 def bin_(rng: np.random.Generator) -> Thing:
-    """Return a litter bin, or a wheeled bin as households put out."""
+    """Return a litter bin, or a wheeled household bin."""
     if rng.random() < 0.5:
         return Thing("bin", (Cylinder(0.0, 0.0, rng.uniform(0.2, 0.28), rng.uniform(0.75, 1.0), material="metal"),))
     return Thing("bin", (Box(0.0, 0.0, 0.6, 0.55, 1.05, 0.05, 0.0, "paint"), Box(0.0, 0.0, 0.7, 0.62, 1.1, 1.0)))
@@ -141,7 +141,7 @@ def bus_shelter() -> Thing:
 
 
 def cabinet(rng: np.random.Generator) -> Thing:
-    """Return a switch box as stands on sidewalks."""
+    """Return a switch box on a sidewalk."""
     return Thing("cabinet", (Box(0.0, 0.0, rng.uniform(0.6, 1.4), 0.4, rng.uniform(0.9, 1.4), material="paint"),))
 
 

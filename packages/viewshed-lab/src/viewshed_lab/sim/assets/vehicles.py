@@ -1,4 +1,4 @@
-"""Makers of vehicles: each returns a `Thing` centered on its origin, heading along x, that lies along the slope."""
+"""Makers of vehicles: each returns a `Thing` centered on its origin, heading along x, that tilts with the ground."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ _DARK = 0.22
 """Share of vehicles in dark paint."""
 
 _SENSOR_CLEARANCE_M = 0.25
-"""Least height of a sensor above the roof of its car."""
+"""Smallest height of a sensor above the roof of its car."""
 
 _ROOF_M = 0.08
 """Thickness of a roof."""
 
 
 class _Car(NamedTuple):
-    """Least and greatest length, width and height in meters; the cabin's share of the length, and its middle."""
+    """Bounds of length, width and height in meters; the cabin's share of the length, and its center."""
 
     long_m: tuple[float, float]
     wide_m: tuple[float, float]
@@ -128,10 +128,11 @@ def motorcycle(rng: np.random.Generator) -> Thing:
 
 
 def sensor_car(rng: np.random.Generator, sensor_height_m: float) -> tuple[Thing, float]:
-    """Return a vehicle with a mast for a sensor at a height above ground, and how far ahead of its middle that sits.
+    """Return a vehicle with a mast for a sensor at a height above ground, and the sensor's offset ahead of its center.
 
-    Below 1.35 m it is a small delivery robot; above, a car of about 1.5 m whose roof stays 0.25 m or more below
-    the sensor: as in nuScenes and KITTI it hides about half of the lowest rings, fore and aft, and little sideways.
+    Below 1.35 m it is a small delivery robot; above, a car of about 1.5 m whose roof is at least 0.25 m below the
+    sensor: as in nuScenes and KITTI it hides about half of the lowest rings, to the front and rear, and little
+    sideways.
     """
     roof = sensor_height_m - _SENSOR_CLEARANCE_M
     if sensor_height_m < 1.35:
@@ -156,17 +157,17 @@ _HIGHWAY: tuple[tuple[float, Callable[[np.random.Generator], Thing]], ...] = (
 
 
 def street_vehicle(rng: np.random.Generator) -> Thing:
-    """Return a vehicle as meets one in town: mostly cars."""
+    """Return a vehicle of town traffic: mostly cars."""
     return _one_of(rng, _STREET)
 
 
 def highway_vehicle(rng: np.random.Generator) -> Thing:
-    """Return a vehicle as meets one on a highway: cars, vans and trucks."""
+    """Return a vehicle of highway traffic: cars, vans and trucks."""
     return _one_of(rng, _HIGHWAY)
 
 
 def parked_vehicle(rng: np.random.Generator) -> Thing:
-    """Return a vehicle as stands at the curb: a car, now and then a van."""
+    """Return a parked vehicle: a car, sometimes a van."""
     return van(rng) if rng.random() < 0.1 else car(rng)
 
 
@@ -181,7 +182,7 @@ def _paint(rng: np.random.Generator) -> str:
 
 
 def _body(long: float, wide: float, tall: float, cabin: tuple[float, float], paint: str) -> tuple[Box, ...]:
-    """Lower body, windows in two steps for the slant of the screens, roof, axles; ``cabin``: its share and middle."""
+    """Return lower body, windows in two steps for the slanted screens, roof, axles; ``cabin``: its share and center."""
     belt, share, middle = 0.58 * tall, cabin[0] * long, cabin[1] * long
     step = (belt + 0.5 * (tall - belt), wide - 0.18, wide - 0.34)
     return (
@@ -194,7 +195,7 @@ def _body(long: float, wide: float, tall: float, cabin: tuple[float, float], pai
 
 
 def _axles(half_base_m: float, wide: float, wheel_m: float) -> tuple[Box, Box]:
-    """Both wheels of an axle as one box each, front and rear."""
+    """Return the front and the rear axle, each as one box for both wheels."""
     return (
         Box(half_base_m, 0.0, wheel_m, wide - 0.04, wheel_m, 0.0, 0.0, "rubber"),
         Box(-half_base_m, 0.0, wheel_m, wide - 0.04, wheel_m, 0.0, 0.0, "rubber"),

@@ -1,4 +1,4 @@
-"""Stock: what stands in halls and warehouses, as groups about one origin (see ``furniture``)."""
+"""Objects of halls and warehouses, as groups around one origin (see ``furniture``)."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def pallet(rng: np.random.Generator) -> Group:
 
 
 def stack(rng: np.random.Generator) -> Group:
-    """Return one to three loaded pallets on each other, as goods are stored that need no rack."""
+    """Return one to three loaded pallets on top of each other, as goods are stored without a rack."""
     depth, width, foot = PALLET_M
     count, high = int(rng.integers(1, 3)), rng.uniform(0.5, 1.1)
     floors = [k * (high + foot) for k in range(count)]
@@ -54,7 +54,7 @@ def rack(rng: np.random.Generator, bays: int, levels: int) -> Group:
 
 
 def _bay(rng: np.random.Generator, middle_m: float, levels: int, rise_m: float) -> list[Shape]:
-    """Return the loads between two frames: one by one on the floor, side by side as one above."""
+    """Return the loads between two frames: single ones on the floor, one load for all side by side above."""
     parts: list[Shape] = []
     for y in (middle_m - 0.92, middle_m, middle_m + 0.92):
         if rng.random() < 0.5:
@@ -121,7 +121,7 @@ def conveyor(rng: np.random.Generator) -> Group:
 
 
 def seats(rng: np.random.Generator) -> Group:
-    """Return a row of three to five seats on one rail, as in a waiting hall; they face x."""
+    """Return a row of three to five seats on one rail, facing x, as in a waiting hall."""
     count = int(rng.integers(3, 6))
     width = 0.58 * count
     ys = (np.arange(count) - (count - 1) / 2) * 0.58
@@ -206,7 +206,7 @@ def stairs(rng: np.random.Generator, top_m: float) -> Group:
 
 
 def trailer(rng: np.random.Generator) -> Group:
-    """Return the inside of a trailer that stands at a gate with its open end toward the highest x."""
+    """Return the inside of a trailer at a gate, with its open end toward the highest x."""
     long, wide, top = 8.0, 2.5, 2.7
     sides = [Box(0.0, s * (wide / 2 - 0.03), long, 0.06, top, 0.02, 0.0, "metal") for s in (-1, 1)]
     front = Box(-long / 2 + 0.03, 0.0, 0.06, wide - 0.12, top, 0.02, 0.0, "metal")

@@ -1,1 +1,1 @@
-"""How a LiDAR fires and measures: firing pattern, optics, weather, noise, range image."""
+"""LiDAR model: firing pattern, optics, weather, noise, range image."""

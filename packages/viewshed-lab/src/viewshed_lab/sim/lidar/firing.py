@@ -1,4 +1,4 @@
-"""Where the beams of one revolution start and point, with and without rolling shutter."""
+"""Starts and directions of the beams of one revolution, with and without rolling shutter."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from viewshed_lab.sim.world import turns_of
 
 @lru_cache(maxsize=32)
 def still_firing(model: LidarModel) -> tuple[F32, F32, F32]:
-    """Return heights (R,) of the starts, unit directions (C, R, 3), and phase (C,) in [-1/2, 1/2), read-only, shared.
+    """Return start heights (R,), unit directions (C, R, 3), phases (C,) in [-1/2, 1/2); arrays are shared, read-only.
 
     All in the sensor's frame at the time of firing. Column c fires at azimuth -π + (c + 1/2) · ``model.azimuth_step``,
-    or as ``model.shots`` says. A shot that is not fired points straight up.
+    or according to ``model.shots``. A shot that is not fired points straight up.
     """
     columns = np.arange(model.azimuth_columns) + 0.5
     azimuth = (-np.pi + columns * model.azimuth_step)[:, None] + model.azimuth_offset[None, :]
@@ -36,10 +36,10 @@ def still_firing(model: LidarModel) -> tuple[F32, F32, F32]:
 
 
 def column_poses(model: LidarModel, motion: Motion, world_from_sensor: Rigid) -> tuple[F32, F32, F32]:
-    """Return where the sensor is when each column fires, in its reference frame, read-only.
+    """Return the sensor's pose at the firing of each column, in its reference frame; arrays are read-only.
 
-    Rotations (C, 3, 3), positions (C, 3) in meters and times (C,) in seconds: column c fires (c + 1/2) / C - 1/2 of the
-    period from the reference.
+    Rotations (C, 3, 3), positions (C, 3) in meters, times (C,) in seconds. Column c fires (c + 1/2) / C - 1/2 periods
+    after the reference.
     """
     phase = still_firing(model)[2]
     if motion.period_s == 0.0:
@@ -55,7 +55,7 @@ def column_poses(model: LidarModel, motion: Motion, world_from_sensor: Rigid) ->
 
 
 def turned_by(rotation: NDArray[np.float64], matrices: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
-    """Return ``rotation @ matrices`` (C, 3, 3) as one product instead of C small ones."""
+    """Return ``rotation @ matrices`` (C, 3, 3), computed as one large product."""
     columns = matrices.transpose(1, 0, 2).reshape(3, -1)
     return np.ascontiguousarray((rotation @ columns).reshape(3, -1, 3).transpose(1, 0, 2))
 

@@ -1,4 +1,4 @@
-"""Optics: how well a sensor measures what its beams meet, for each sensor of the beam tables."""
+"""Optics: range noise, reach and dropout of each sensor of the beam tables."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ _REACH_SHARE = 0.6
 
 @dataclass(frozen=True, slots=True)
 class Optics:
-    """How well a sensor measures ranges and how weak a return it still detects.
+    """Range noise, detection range and dropout of a sensor.
 
     Raises:
         ValueError: a number is out of range.
     """
 
-    # standard deviation of the range of a strong return, in meters; an offset that a beam keeps is none
+    # standard deviation of the range of a strong return, in meters, without the constant offset of each beam
     sigma_m: float = 0.01
-    # range at which a target of 10 % reflectivity that faces the sensor is detected every second time; infinite for a
+    # range at which a target of 10 % reflectivity facing the sensor is detected with probability 1/2; infinite for a
     # sensor that detects everything
     reach_m: float = 70.0
-    missing_share: float = 0.01  # beams that return nothing for no visible reason, of all
+    missing_share: float = 0.01  # share of beams that return nothing without a visible reason
 
     def __post_init__(self) -> None:
         if not (0 <= self.sigma_m < 1 and self.reach_m > 0 and 0 <= self.missing_share < 1):
@@ -58,11 +58,11 @@ _ROWS = (
     (0.0, float("inf"), 0.0, ("CARLA", "CARLA 256")),
 )
 OPTICS = {name: Optics(*numbers) for *numbers, names in _ROWS for name in names}
-"""By the name of the beam table; the page on measurement says which numbers are makers' and which were tuned."""
+"""By name of the beam table; the page on measurement states which numbers are the maker's and which were tuned."""
 
 
 def optics_of(model: LidarModel) -> Optics:
-    """Return the optics of a sensor: its row of :data:`OPTICS`, else a reach of 0.6 of its maximum range.
+    """Return the optics of a sensor: its row of :data:`OPTICS`, or defaults with a reach of 0.6 of its maximum range.
 
     >>> from viewshed.sensors import lidar_model
     >>> optics_of(lidar_model("hdl64e")).sigma_m
@@ -73,7 +73,7 @@ def optics_of(model: LidarModel) -> Optics:
 
 
 def step_of(model: LidarModel) -> float:
-    """Return the meters of one step of range: 2 mm, doubled until 16 bits reach the maximum range.
+    """Return the range step in meters: 2 mm, doubled until 16 bits cover the maximum range.
 
     >>> from viewshed.sensors import lidar_model
     >>> step_of(lidar_model("hdl32e")), step_of(lidar_model("vlp32c"))

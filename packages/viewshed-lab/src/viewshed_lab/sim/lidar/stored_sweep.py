@@ -1,4 +1,4 @@
-"""StoredSweep: one revolution as the sensor stores it, whole steps of range for each column and ring."""
+"""StoredSweep: one revolution as a range image, integer range steps for each column and ring."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ class StoredSweep:
     """One measured revolution. C columns in firing order, R rings from the lowest up."""
 
     model: LidarModel  # the sensor
-    steps: NDArray[np.uint16]  # (C, R) uint16 range from the start of the beam in ``step_m``; 0 is no return
+    steps: NDArray[np.uint16]  # (C, R) uint16 range from the start of the beam in units of ``step_m``; 0 is no return
     intensity: NDArray[np.uint8]  # (C, R) uint8, 0 where there is no return
-    step_m: float  # meters a step, 2 mm unless the sensor sees farther than 131 m
-    world_from_sensor: Rigid  # reference pose, of the middle of the revolution
-    motion: Motion = STILL  # how the sensor moved about it
+    step_m: float  # 2 mm unless the maximum range exceeds 131 m
+    world_from_sensor: Rigid  # reference pose, at the middle of the revolution
+    motion: Motion = STILL  # motion of the sensor around it
     sensor_height_m: float | None = None  # above the ground below
     t_ns: int | None = None  # time of the reference pose
-    agent: str = "ego"  # who measured it
+    agent: str = "ego"  # name of the measuring agent
 
     def __post_init__(self) -> None:
         shape = (self.model.azimuth_columns, self.model.rings)
@@ -40,9 +40,9 @@ class StoredSweep:
             raise ValueError(f"step_m must lie in (0, 1), got {self.step_m}")
 
     def sweep(self) -> Sweep:
-        """Return the sweep: points in the sensor's reference frame (motion undone), firing order, ring and time.
+        """Return the sweep in firing order: points in the sensor's reference frame (motion undone), ring and time.
 
-        Times begin with the revolution, half a period before the reference pose and ``t_ns``.
+        Times start with the revolution, half a period before the reference pose and ``t_ns``.
         """
         start_m, direction, _ = still_firing(self.model)
         turn, shift_m, time_s = column_poses(self.model, self.motion, self.world_from_sensor)
@@ -66,10 +66,11 @@ class StoredSweep:
 def _returns(
     steps: Any, level: Any, step_m: Any, start_m: Any, direction: Any, turn: Any, shift_m: Any, column_s: Any
 ) -> Any:
-    """Return points (N, 3), intensity, ring and time of the beams that returned, column after column.
+    """Return points (N, 3), intensity, ring and time of the returns, column by column.
 
-    Steps and intensity (C, R); heights of starts (R,) and directions (C, R, 3) in the sensor's frame when it fired;
-    rotations (C, 3, 3), positions (C, 3) and times (C,) of the columns.
+    ``steps`` and ``level`` (intensity) are (C, R); start heights ``start_m`` (R,) and ``direction`` (C, R, 3) are in
+    the sensor's frame at the firing; ``turn`` (C, 3, 3), ``shift_m`` (C, 3) and ``column_s`` (C,) are the columns'
+    poses and times.
     """
     columns, rings = steps.shape
     points = np.empty((steps.size, 3), np.float32)

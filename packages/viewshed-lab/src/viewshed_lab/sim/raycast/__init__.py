@@ -1,1 +1,1 @@
-"""What each beam meets: solids and terrain, exactly."""
+"""Ray caster: exact first hits of beams on solids and terrain."""

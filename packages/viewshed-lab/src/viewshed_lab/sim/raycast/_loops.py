@@ -1,7 +1,7 @@
-"""The loops of the ray caster.
+"""Compiled loops of the ray caster.
 
-Each solid and each triangle of the ground is tested against the window of beams that might meet its bounding box: a
-range of columns, and blocks of rings. Every stop is then measured again in double precision.
+Each solid and each triangle of the ground is tested against the window of beams that may hit its bounding box: a range
+of columns, and blocks of rings. Hits are then recomputed in double precision.
 """
 
 from __future__ import annotations
@@ -18,17 +18,16 @@ BLOCK = 16
 """Rings are padded to a multiple of this."""
 
 DRAWS = 4096
-"""Free paths in the table of volumes; a power of two."""
+"""Size of the table of free paths in volumes; a power of two."""
 
 
 class Beams(NamedTuple):
-    """B = blocks · C · BLOCK beams, in blocks of 16 rings, a block column after column, float32.
+    """B = blocks · C · BLOCK beams, float32: blocks of 16 rings, within a block column by column (:func:`beam_number`).
 
-    So the beams that may meet a solid are runs without gaps, and a test without branches fills vector registers.
+    In this order the beams that may hit a solid are contiguous runs, and branch-free tests are vectorized.
     """
 
-    # (B,) of the unit direction, in world axes; see :func:`viewshed_lab.sim.raycast._loops.beam_number`
-    x: NDArray[np.float32]
+    x: NDArray[np.float32]  # (B,) of the unit direction, in world axes
     y: NDArray[np.float32]  # (B,) as ``x``
     z: NDArray[np.float32]  # (B,) as ``x``
     rise: NDArray[np.float32]  # (B,) start of the beam on the sensor's axis, meters
@@ -42,13 +41,13 @@ class Solids(NamedTuple):
     boxes: NDArray[np.float64]
     kinds: NDArray[np.uint8]  # (S,) ``BOX``, ``CYLINDER`` or ``ELLIPSOID``
     per_m: NDArray[np.float32]  # (S,) stops per meter of path; infinite for opaque solids
-    salts: NDArray[np.uint32]  # (S,) uint32 that make the draws of two volumes differ
-    things: NDArray[np.int32]  # (S,) int32 index of the thing that it belongs to
+    salts: NDArray[np.uint32]  # (S,) uint32, so that the free paths of two volumes differ
+    things: NDArray[np.int32]  # (S,) int32 index of the solid's thing
     materials: NDArray[np.uint8]  # (S,) uint8 rows of ``MATERIALS``
 
 
 class Ground(NamedTuple):
-    """A lattice of quads of two triangles each, seen from the sensor, in world axes."""
+    """A lattice of quads of two triangles each, relative to the sensor, in world axes."""
 
     x: NDArray[np.float64]  # (nx,) of the nodes
     y: NDArray[np.float64]  # (ny,) of the nodes
@@ -57,30 +56,30 @@ class Ground(NamedTuple):
 
 
 class View(NamedTuple):
-    """The sensor: where it looks and how it moves."""
+    """Orientation, beam bounds and motion of the sensor."""
 
     rotation: NDArray[np.float64]  # (3, 3) ``world_from_sensor`` at the middle of the revolution
     step: float  # azimuth from column to column, radians
-    low_offset: float  # least azimuth of a beam from that of its column, the turn within the revolution included
+    low_offset: float  # smallest azimuth offset of a beam from its column, including the yaw within the revolution
     high_offset: float  # largest one
     slopes: NDArray[np.float64]  # (R,) ascending tangents of the elevations
     columns: int  # C
-    max_range_m: float  # farthest stop
+    max_range_m: float  # largest range of a hit
     half_period_s: float  # half the duration of the revolution
     lift_m: float  # largest distance of a beam's start from the sensor's position
-    slack: float  # how much slopes change by the turn of a tilted sensor
+    slack: float  # largest change of slopes by the yaw of a tilted sensor
     velocity: NDArray[np.float64]  # (3,) of the sensor
 
 
 class Nearest(NamedTuple):
-    """The nearest stop of each beam so far."""
+    """The nearest hit of each beam so far."""
 
     depth: NDArray[np.float32]  # (B,) float32 meters, +inf for none
     winner: NDArray[np.int32]  # (B,) int32 solid, S + triangle of the ground, or -1
 
 
 _MARGIN = 2e-4
-"""Radians, and slopes, by which windows are widened: more than single precision is wrong by."""
+"""Margin of windows, in radians and in slopes: larger than the error of single precision."""
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -90,10 +89,10 @@ def _length(vector: Any) -> Any:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def solid_window(boxes: Any, s: Any, view: Any, drift_m: Any, corners: Any) -> Any:
-    """Return first column, number of columns, first block and last of the beams that may meet solid ``s``.
+    """Return first column, number of columns, first and end block of the beams that may hit solid ``s``.
 
-    The solid is widened by ``drift_m``, how far it moves within half the period as the sensor sees it; ``corners``
-    (2, 8) is scratch memory.
+    The solid is widened by ``drift_m``, its movement relative to the sensor within half the period; ``corners`` (2, 8)
+    is scratch memory.
     """
     if _length(boxes[s, 0]) - _length(boxes[s, 4]) - drift_m > view.max_range_m:
         return 0, 0, 0, 0
@@ -102,7 +101,7 @@ def solid_window(boxes: Any, s: Any, view: Any, drift_m: Any, corners: Any) -> A
         return 0, view.columns, 0, (view.slopes.shape[0] - 1) // BLOCK + 1
     x, y, z, tall, far2 = _corners(boxes, s, view.rotation, drift_m, corners)
     tall += view.lift_m
-    # The nearest horizontal range: from above if both are upright, else what is left of the distance by its height.
+    # The smallest horizontal range: horizontal distance if both are upright, else from distance and height.
     upright = view.rotation[2, 2] > 0.999999 and boxes[s, 3, 2] > 0.999999
     tallest = max(abs(z - tall), abs(z + tall))
     near = np.sqrt(flat2) if upright else np.sqrt(max(apart2 - tallest * tallest, 0.0))
@@ -118,7 +117,7 @@ def solid_window(boxes: Any, s: Any, view: Any, drift_m: Any, corners: Any) -> A
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _gaps(boxes: Any, s: Any, drift_m: Any) -> Any:
-    """Return whether the sensor is in an oriented box, and the squares of its distance, in space and from above."""
+    """Return whether the sensor is in an oriented box, and the squares of its distance, in 3D and horizontally."""
     inside, apart2, flat2 = True, 0.0, 0.0
     for k in range(3):
         local = boxes[s, 1, k] * boxes[s, 0, 0] + boxes[s, 2, k] * boxes[s, 0, 1] + boxes[s, 3, k] * boxes[s, 0, 2]
@@ -133,7 +132,7 @@ def _gaps(boxes: Any, s: Any, drift_m: Any) -> Any:
 def _corners(boxes: Any, s: Any, rotation: Any, drift_m: Any, corners: Any) -> Any:
     """Store x and y of the corners (2, 8) in the sensor's frame; return the center, half the height, and far².
 
-    The latter is the square of the largest horizontal range of a corner.
+    ``far`` is the largest horizontal range of a corner.
     """
     x, y, z = _into_sensor(boxes[s, 0, 0], boxes[s, 0, 1], boxes[s, 0, 2], rotation)
     tall, far2 = 0.0, 0.0
@@ -163,7 +162,7 @@ def _into_sensor(a: Any, b: Any, c: Any, rotation: Any) -> Any:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def spread(corners: Any, cos: Any, sin: Any) -> Any:
-    """Return the least and the largest azimuth of corners (2, n) from a direction."""
+    """Return the smallest and the largest azimuth of corners (2, n) relative to a direction."""
     low, high = 0.0, 0.0
     for corner in range(corners.shape[1]):
         u, v = corners[0, corner], corners[1, corner]
@@ -174,7 +173,7 @@ def spread(corners: Any, cos: Any, sin: Any) -> Any:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def ring_blocks(slopes: Any, low: Any, high: Any) -> Any:
-    """Return the first block of rings, and the one after the last, that may lie between two slopes."""
+    """Return the first block of rings, and the one after the last, that may have slopes between two bounds."""
     first, last = np.searchsorted(slopes, low), np.searchsorted(slopes, high)
     if first >= last:
         return 0, 0
@@ -201,28 +200,28 @@ def column_range(view: Any, center: Any, low: Any, high: Any) -> Any:
 
 
 _NEAR_M = 1e-3
-"""A beam stops no nearer than this: one that starts on a surface leaves it."""
+"""Smallest depth of a hit, so that a beam that starts on a surface leaves it."""
 
 _TINY = 1e-20
-"""Keeps the length of a beam along a cylinder's axis, seen from its end, from being 0."""
+"""Added to the squared length of a beam's projection, which is 0 along a cylinder's axis."""
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def cast_solids(beams: Any, solids: Any, view: Any, draws: Any, nearest: Any) -> None:
-    """Test every solid against the beams that may meet it, and keep the nearest stops.
+    """Test every solid against the beams that may hit it, and keep the nearest hits.
 
     Args:
-        beams: :class:`~viewshed_lab.sim.raycast._loops.Beams`.
-        solids: :class:`~viewshed_lab.sim.raycast._loops.Solids`.
-        view: :class:`~viewshed_lab.sim.raycast._loops.View`.
+        beams: :class:`Beams`.
+        solids: :class:`Solids`.
+        view: :class:`View`.
         draws: (DRAWS,) float32 exponential free paths of mean 1.
-        nearest: :class:`~viewshed_lab.sim.raycast._loops.Nearest`, improved in place.
+        nearest: :class:`Nearest`, updated in place.
     """
     boxes, columns = solids.boxes, view.columns
     paths, none = np.empty(columns * BLOCK, np.float32), np.zeros(columns * BLOCK, np.float32)
     corners, local = np.empty((2, 8)), np.empty(18, np.float32)
     for s in range(boxes.shape[0]):
-        # The window of beams that point at the box around the solid, wherever it moves within the revolution.
+        # The window of beams that may point at the solid's bounding box, including its movement.
         drift_m = _length(boxes[s, 5] - view.velocity) * view.half_period_s
         start, count, first, last = solid_window(boxes, s, view, drift_m, corners)
         if first >= last:
@@ -231,26 +230,26 @@ def cast_solids(beams: Any, solids: Any, view: Any, draws: Any, nearest: Any) ->
         per_m, kind = solids.per_m[s], solids.kinds[s]
         opaque = np.isinf(per_m)
         start %= columns
-        # Two runs where the window crosses the last column.
+        # Two runs if the window crosses the last column.
         for run in range(2):
             low, high = (start, min(start + count, columns)) if run == 0 else (0, start + count - columns)
             for block in range(first, last if high > low else first):
-                base, many = np.uint64((block * columns + low) * BLOCK), np.uint64((high - low) * BLOCK)
+                base, size = np.uint64((block * columns + low) * BLOCK), np.uint64((high - low) * BLOCK)
                 if not opaque:
-                    _draw_paths(base, many, np.float32(1.0 / per_m), solids.salts[s], draws, paths)
-                # One loop for each kind, so that none has a branch; the free path into opaque solids is 0.
+                    _draw_paths(base, size, np.float32(1.0 / per_m), solids.salts[s], draws, paths)
+                # One branch-free loop per kind; the free path into opaque solids is 0.
                 into = none if opaque else paths
                 if kind == 0:
-                    _stop_in_box(beams, local, base, many, s, into, nearest)
+                    _stop_in_box(beams, local, base, size, s, into, nearest)
                 else:
-                    _stop_in_round(beams, local, base, many, s, kind == 1, into, nearest)
+                    _stop_in_round(beams, local, base, size, s, kind == 1, into, nearest)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _local_frame(boxes: Any, s: Any, view: Any, local: Any) -> None:
     """Store rotation (9), sensor (3), the sensor's axis (3) and velocity (3) in units of the solid's half sizes.
 
-    In those units every solid is a cube, a cylinder or a ball of half size 1 about the origin.
+    In these units every solid is a cube, a cylinder or a ball of half size 1 around the origin.
     """
     for k in range(3):
         position, along, moving, half = 0.0, 0.0, 0.0, boxes[s, 4, k]
@@ -276,7 +275,7 @@ def _ray(beams: Any, i: Any, m: Any) -> Any:
 
 @njit(cache=True, nogil=True, inline="always", error_model="numpy")
 def _between_slabs(p: Any, q: Any, r: Any, u: Any, v: Any, w: Any) -> Any:
-    """Depths at which a beam enters and leaves a cube of half size 1 (slabs, Kay and Kajiya 1986)."""
+    """Return the depths at which a beam enters and leaves a cube of half size 1 (slabs, Kay and Kajiya 1986)."""
     n0, f0 = _slab(p, u)
     n1, f1 = _slab(q, v)
     n2, f2 = _slab(r, w)
@@ -286,7 +285,7 @@ def _between_slabs(p: Any, q: Any, r: Any, u: Any, v: Any, w: Any) -> Any:
 
 @njit(cache=True, nogil=True, inline="always", error_model="numpy")
 def _slab(start: Any, direction: Any) -> Any:
-    """Depths at which a coordinate enters and leaves [-1, 1]; along it they are infinite."""
+    """Return the depths at which a coordinate enters and leaves [-1, 1]; infinite if it does not change."""
     per = np.float32(1.0) / direction
     a, b = (np.float32(-1.0) - start) * per, (np.float32(1.0) - start) * per
     return (a if a < b else b), (b if a < b else a)
@@ -294,10 +293,10 @@ def _slab(start: Any, direction: Any) -> Any:
 
 @njit(cache=True, nogil=True, inline="always", error_model="numpy")
 def _between_sides(p: Any, q: Any, r: Any, u: Any, v: Any, w: Any, flat: Any) -> Any:
-    """Depths at which a beam enters and leaves a cylinder (``flat``) or a ball of radius 1.
+    """Return the depths at which a beam enters and leaves a cylinder (``flat``) or a ball of radius 1.
 
-    Roots of |o + t d|² = 1 from the distance of the line to the middle, |o × d| / |d|, which does not cancel; a
-    cylinder leaves z out and is cut by its ends.
+    The roots of |o + t d|² = 1 are computed from the line's distance to the center, |o × d| / |d|, which avoids
+    cancellation; a cylinder ignores z and is cut by its ends.
     """
     zero, one = np.float32(0.0), np.float32(1.0)
     keep = zero if flat else one
@@ -315,10 +314,10 @@ def _between_sides(p: Any, q: Any, r: Any, u: Any, v: Any, w: Any, flat: Any) ->
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _stop_in_box(beams: Any, local: Any, base: Any, many: Any, s: Any, paths: Any, nearest: Any) -> None:
-    """Stop beams their free path into box ``s``, unless they leave it before."""
+def _stop_in_box(beams: Any, local: Any, base: Any, size: Any, s: Any, paths: Any, nearest: Any) -> None:
+    """Hit box ``s`` at the free path beyond its surface, unless the beam leaves it before."""
     depth, winner = nearest.depth, nearest.winner
-    for n in range(many):
+    for n in range(size):
         i = base + n
         p, q, r, u, v, w = _ray(beams, i, local)
         near, far = _between_slabs(p, q, r, u, v, w)
@@ -329,10 +328,10 @@ def _stop_in_box(beams: Any, local: Any, base: Any, many: Any, s: Any, paths: An
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _stop_in_round(beams: Any, local: Any, base: Any, many: Any, s: Any, flat: Any, paths: Any, nearest: Any) -> None:
-    """Stop beams their free path into cylinder (``flat``) or ellipsoid ``s``, unless they leave it before."""
+def _stop_in_round(beams: Any, local: Any, base: Any, size: Any, s: Any, flat: Any, paths: Any, nearest: Any) -> None:
+    """Hit cylinder (``flat``) or ellipsoid ``s`` like :func:`_stop_in_box`."""
     depth, winner = nearest.depth, nearest.winner
-    for n in range(many):
+    for n in range(size):
         i = base + n
         p, q, r, u, v, w = _ray(beams, i, local)
         near, far = _between_sides(p, q, r, u, v, w, flat)
@@ -343,14 +342,14 @@ def _stop_in_round(beams: Any, local: Any, base: Any, many: Any, s: Any, flat: A
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _draw_paths(base: Any, many: Any, mean_m: Any, salt: Any, draws: Any, paths: Any) -> None:
-    """Store how many meters beams from ``base`` on get into a volume, drawn by beam and volume."""
-    tickets = paths.view(np.uint32)
-    # Two loops: the hashes fill vector registers, the look-ups cannot.
-    for n in range(many):
-        tickets[n] = mixed(np.uint32(base + n), salt) & np.uint32(DRAWS - 1)
-    for n in range(many):
-        paths[n] = draws[tickets[n]] * mean_m
+def _draw_paths(base: Any, size: Any, mean_m: Any, salt: Any, draws: Any, paths: Any) -> None:
+    """Store the free paths in a volume of beams from ``base`` on, meters, random by beam and volume."""
+    rows = paths.view(np.uint32)
+    # Two loops: the hashes are vectorized, the lookups cannot be.
+    for n in range(size):
+        rows[n] = mixed(np.uint32(base + n), salt) & np.uint32(DRAWS - 1)
+    for n in range(size):
+        paths[n] = draws[rows[n]] * mean_m
 
 
 @njit(cache=True, nogil=True, inline="always", error_model="numpy")
@@ -363,17 +362,17 @@ def mixed(value: Any, salt: Any) -> Any:
 
 
 _EDGE = 1e-5
-"""Share of a quad by which its triangles overlap the next ones: no beam falls between two."""
+"""Share of a quad by which its triangles overlap their neighbors, so that no beam passes between two."""
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def cast_terrain(beams: Any, ground: Any, view: Any, nearest: Any, first_index: Any) -> None:
     """Test every quad; its two triangles have the indices ``first_index`` + 2 · quad and the next.
 
-    The arguments are the tuples of :mod:`viewshed_lab.sim.raycast._loops`; ``nearest`` is improved in place.
+    The arguments are the named tuples of this module; ``nearest`` is updated in place.
     """
     columns = view.columns
-    # The ground stands still, so it drifts by the sensor's own way within half the period.
+    # The ground is static, so it drifts by the sensor's own movement within half the period.
     drift_m = _length(view.velocity) * view.half_period_s
     nodes, corners, local = _nodes(ground, view.rotation), np.empty((2, 4)), np.empty(15, np.float32)
     for i in range(ground.x.shape[0] - 1):
@@ -384,21 +383,21 @@ def cast_terrain(beams: Any, ground: Any, view: Any, nearest: Any, first_index: 
             bent = _quad_frame(ground, i, j, view, local)
             index = np.int32(first_index + 2 * (i * (ground.y.shape[0] - 1) + j))
             start %= columns
-            # Two runs where the window crosses the last column, see cast_solids.
+            # Two runs if the window crosses the last column, see cast_solids.
             for run in range(2):
                 low, high = (start, min(start + count, columns)) if run == 0 else (0, start + count - columns)
                 for block in range(first, last if high > low else first):
-                    base, many = np.uint64((block * columns + low) * BLOCK), np.uint64((high - low) * BLOCK)
+                    base, size = np.uint64((block * columns + low) * BLOCK), np.uint64((high - low) * BLOCK)
                     if bent:
-                        _triangle(beams, local, base, many, np.float32(1.0), index, nearest)
-                        _triangle(beams, local, base, many, np.float32(-1.0), np.int32(index + 1), nearest)
-                    else:  # a flat quad is one plane: side 0 takes all of it
-                        _triangle(beams, local, base, many, np.float32(0.0), index, nearest)
+                        _triangle(beams, local, base, size, np.float32(1.0), index, nearest)
+                        _triangle(beams, local, base, size, np.float32(-1.0), np.int32(index + 1), nearest)
+                    else:  # a flat quad is one plane: side 0 covers all of it
+                        _triangle(beams, local, base, size, np.float32(0.0), index, nearest)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _nodes(ground: Any, rotation: Any) -> Any:
-    """Return x, y, z (nx, ny, 3) of the nodes in the sensor's frame, each of which four quads need."""
+    """Return x, y, z (nx, ny, 3) of the nodes in the sensor's frame; four quads use each node."""
     out = np.empty((ground.x.shape[0], ground.y.shape[0], 3))
     for i in range(ground.x.shape[0]):
         for j in range(ground.y.shape[0]):
@@ -408,17 +407,17 @@ def _nodes(ground: Any, rotation: Any) -> Any:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _quad_window(nodes: Any, ground: Any, i: Any, j: Any, view: Any, drift_m: Any, corners: Any) -> Any:
-    """Return first column, number of columns, first block and last of the beams that may meet quad (i, j).
+    """Return first column, number of columns, first and end block of the beams that may hit quad (i, j).
 
     ``corners`` (2, 4) is scratch memory.
     """
-    # The nearest horizontal range, first along the world's axes.
+    # The smallest horizontal range, along the world's axes.
     gap_x = max(ground.x[i] - drift_m, -(ground.x[i + 1] + drift_m), 0.0)
     gap_y = max(ground.y[j] - drift_m, -(ground.y[j + 1] + drift_m), 0.0)
     near = np.sqrt(gap_x * gap_x + gap_y * gap_y)
     if near > view.max_range_m:
         return 0, 0, 0, 0
-    # Middle, farthest range and heights of the corners, in the sensor's frame.
+    # Center, largest range and heights of the corners, in the sensor's frame.
     x, y, far2 = 0.0, 0.0, 0.0
     low_z, high_z = np.inf, -np.inf
     for corner in range(4):
@@ -427,14 +426,14 @@ def _quad_window(nodes: Any, ground: Any, i: Any, j: Any, view: Any, drift_m: An
         corners[0, corner], corners[1, corner] = u, v
         x, y, far2 = x + u / 4, y + v / 4, max(far2, u * u + v * v)
         low_z, high_z = min(low_z, w), max(high_z, w)
-    if view.rotation[2, 2] < 0.999999:  # a tilted sensor: what is left of the distance by the height in its frame
+    if view.rotation[2, 2] < 0.999999:  # a tilted sensor: from distance and height in its frame
         near = max(np.sqrt(max(near * near - max(low_z * low_z, high_z * high_z), 0.0)) - drift_m, 0.0)
     low_z, high_z = low_z - view.lift_m - drift_m, high_z + view.lift_m + drift_m
     low_slope, high_slope = slopes_of(low_z, high_z, near, np.sqrt(far2) + drift_m)
     first, last = ring_blocks(view.slopes, low_slope - view.slack, high_slope + view.slack)
     if first >= last:
         return 0, 0, 0, 0
-    # Azimuths of the corners about that of the middle, and how far the drift swings them.
+    # Azimuths of the corners relative to the center, widened by the drift.
     middle = float(atan2(np.float32(y), np.float32(x)))
     low, high = spread(corners, np.cos(middle), np.sin(middle))
     if drift_m > 0.0:
@@ -448,7 +447,7 @@ def _quad_window(nodes: Any, ground: Any, i: Any, j: Any, view: Any, drift_m: An
 def _quad_frame(ground: Any, i: Any, j: Any, view: Any, local: Any) -> Any:
     """Store slopes of both triangles (a, b, a, b), 1 / sizes, first corner, axis, velocity; return whether it is bent.
 
-    Corner and heights are seen from the sensor with the sign turned: the beam starts there, seen from the corner.
+    The corner is stored with negative sign: it is the sensor's position relative to the corner.
     """
     wide, deep = ground.x[i + 1] - ground.x[i], ground.y[j + 1] - ground.y[j]
     a, b, c, d = ground.z[i, j], ground.z[i + 1, j], ground.z[i, j + 1], ground.z[i + 1, j + 1]
@@ -462,15 +461,15 @@ def _quad_frame(ground: Any, i: Any, j: Any, view: Any, local: Any) -> Any:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _triangle(beams: Any, local: Any, base: Any, many: Any, side: Any, index: Any, nearest: Any) -> None:
-    """Stop beams ``base`` to ``base + many`` on the plane z = z0 + a (x - x0) + b (y - y0), within its triangle.
+def _triangle(beams: Any, local: Any, base: Any, size: Any, side: Any, index: Any, nearest: Any) -> None:
+    """Hit the plane z = z0 + a (x - x0) + b (y - y0) with beams ``base`` to ``base + size``, within its triangle.
 
-    That is where ``side`` · (u - v) ≥ 0, with u and v from 0 to 1 over the quad.
+    The triangle is where ``side`` · (u - v) ≥ 0, with u and v from 0 to 1 over the quad.
     """
     depth, winner = nearest.depth, nearest.winner
     edge, one = np.float32(-_EDGE), np.float32(1.0 + _EDGE)
     a, b = (local[0], local[1]) if side >= 0 else (local[2], local[3])
-    for n in range(many):
+    for n in range(size):
         i = base + n
         x, y, z, rise, time = beams.x[i], beams.y[i], beams.z[i], beams.rise[i], beams.time[i]
         px = local[6] + rise * local[9] + time * local[12]
@@ -486,7 +485,7 @@ def _triangle(beams: Any, local: Any, base: Any, many: Any, side: Any, index: An
 
 @njit(cache=True, nogil=True, inline="always", error_model="numpy")
 def beam_number(c: Any, k: Any, columns: Any) -> Any:
-    """Return where the beam of column c and ring k is in the order of the caster: blocks of rings, then columns."""
+    """Return the index of the beam of column c and ring k in the caster's order: blocks of rings, then columns."""
     return ((k // BLOCK) * columns + c) * BLOCK + k % BLOCK
 
 
@@ -494,17 +493,17 @@ def beam_number(c: Any, k: Any, columns: Any) -> Any:
 def turn_beams(
     still: Any, turns: Any, shifts: Any, rises: Any, times: Any, direction: Any, origin: Any, beams: Any
 ) -> None:
-    """Fill unit directions and starts (C, R, 3) in world axes, and the same beams in the order of the caster.
+    """Fill unit directions and starts (C, R, 3) in world axes, and the same beams in the caster's order.
 
     Args:
         still: directions (C, R, 3) in the sensor's frame.
         turns: ``world_from_sensor`` rotations (C, 3, 3).
         shifts: positions of the columns (C, 3) from the reference.
-        rises: heights (R,) of the starts of the rings on the sensor's axis.
+        rises: start heights (R,) of the rings on the sensor's axis.
         times: (C,) of the columns.
         direction: filled, (C, R, 3) float32.
         origin: filled, (C, R, 3) float32.
-        beams: :class:`~viewshed_lab.sim.raycast._loops.Beams`, filled.
+        beams: :class:`Beams`, filled.
     """
     columns, rings = still.shape[0], still.shape[1]
     for c in range(columns):
@@ -541,11 +540,12 @@ def measure_stops(
     material: Any,
     cosine: Any,
 ) -> None:
-    """Fill depth, thing, material and cosine of incidence (C, R) from the winners of the caster.
+    """Fill depth, thing, material and cosine of incidence (C, R) from the caster's nearest hits.
 
-    Starts and directions (C, R, 3) and times (C,) are the beams'; the others the tuples of this module, the planes
-    (T, 4) of the triangles, the free paths (DRAWS,), the gloss of materials, and the range from which nothing is met.
-    Volumes without gloss have no normal: their cosine is 1.
+    ``origin`` and ``direction`` (C, R, 3) and ``times`` (C,) describe the beams; ``solids``, ``ground`` and ``nearest``
+    are tuples of this module; ``planes`` (T, 4) are those of the triangles, ``draws`` (DRAWS,) the free paths,
+    ``glossy`` the gloss of materials. Hits beyond ``max_range_m`` are dropped. Volumes without gloss have no normal:
+    their cosine is 1.
     """
     materials, local, count = ground.material.reshape(-1), np.empty(6), solids.boxes.shape[0]
     for c in range(depth.shape[0]):
@@ -554,27 +554,27 @@ def measure_stops(
             s = nearest.winner[i]
             beam = (origin[c, k, 0], origin[c, k, 1], origin[c, k, 2],
                     direction[c, k, 0], direction[c, k, 1], direction[c, k, 2])  # fmt: skip
-            t, cos, met, made_of = np.inf, 0.0, -2, 0
+            t, cos, hit, made_of = np.inf, 0.0, -2, 0
             if s >= count:  # a triangle of the ground
                 t, cos = _on_ground(beam, planes, s - count)
-                met, made_of = -1, materials[(s - count) >> 1]
+                hit, made_of = -1, materials[(s - count) >> 1]
             elif s >= 0:
                 _into(beam, solids.boxes, s, times[c], local)
                 t, cos = _enter(local, solids.boxes, s, solids.kinds[s], float(nearest.depth[i]))
-                # Into a volume the beam goes on for the free path that the caster drew for it.
+                # In a volume the beam continues for its free path, the same as in the caster.
                 if not np.isinf(solids.per_m[s]):
-                    ticket = mixed(np.uint32(i), solids.salts[s]) & np.uint32(DRAWS - 1)
-                    t = max(t, 0.0) + float(draws[ticket]) / solids.per_m[s]
+                    row = mixed(np.uint32(i), solids.salts[s]) & np.uint32(DRAWS - 1)
+                    t = max(t, 0.0) + float(draws[row]) / solids.per_m[s]
                     cos = cos if glossy[solids.materials[s]] > 0.0 else 1.0
-                met, made_of = solids.things[s], solids.materials[s]
+                hit, made_of = solids.things[s], solids.materials[s]
             if t > max_range_m:
-                t, cos, met, made_of = np.inf, 0.0, -2, 0
-            depth[c, k], cosine[c, k], thing[c, k], material[c, k] = t, cos, met, made_of
+                t, cos, hit, made_of = np.inf, 0.0, -2, 0
+            depth[c, k], cosine[c, k], thing[c, k], material[c, k] = t, cos, hit, made_of
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _on_ground(beam: Any, planes: Any, row: Any) -> Any:
-    """Return depth and cosine of incidence of a beam (start and direction) on the plane of a triangle."""
+    """Return depth and cosine of incidence of a beam (start and direction) at the plane of a triangle."""
     a, b = planes[row, 0], planes[row, 1]
     fall = a * beam[3] + b * beam[4] - beam[5]
     return (beam[2] - a * beam[0] - b * beam[1] - planes[row, 2]) / fall, abs(fall) * planes[row, 3]
@@ -593,19 +593,19 @@ def _into(beam: Any, boxes: Any, s: Any, time: Any, local: Any) -> None:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _enter(local: Any, boxes: Any, s: Any, kind: Any, t32: Any) -> Any:
-    """Depth at which the beam enters the solid, and its cosine there; ``t32`` where rounding makes it miss."""
+    """Return the depth at which the beam enters the solid, and the cosine there; ``t32`` if it misses by rounding."""
     if kind == 0:
         return _enter_box(local, boxes, s, t32)
-    # Roots of a t² + 2 b t + c = 0, the quadric with half sizes 1; a cylinder leaves z out.
+    # Roots of a t² + 2 b t + c = 0, the quadric with half sizes 1; a cylinder ignores z.
     a, b, c, cos = 0.0, 0.0, -1.0, 0.0
     for k in range(2 if kind == 1 else 3):
         o, d = local[k] / boxes[s, 4, k], local[3 + k] / boxes[s, 4, k]
         a, b, c = a + d * d, b + o * d, c + o * o
     root2 = b * b - a * c
-    t = t32 if kind == 2 or root2 < 0.0 else -np.inf  # along a cylinder's axis its end decides
+    t = t32 if kind == 2 or root2 < 0.0 else -np.inf  # along a cylinder's axis only its end is hit
     if root2 >= 0.0 and a > 0.0:
         t = (-b - np.sqrt(root2)) / a
-    # A cylinder's end, where it is met after the side's surface goes on beyond it.
+    # A cylinder's end, if the beam enters it after the infinite side surface.
     if kind == 1 and local[5] != 0.0:
         cap = (-local[2] - np.copysign(boxes[s, 4, 2], local[5])) / local[5]
         if cap > t:
@@ -620,7 +620,7 @@ def _enter(local: Any, boxes: Any, s: Any, kind: Any, t32: Any) -> Any:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _enter_box(local: Any, boxes: Any, s: Any, t32: Any) -> Any:
-    """The side that the beam enters last is the one it meets (slabs)."""
+    """Return depth and cosine at the side that the beam enters last (slabs)."""
     near, cos = -np.inf, 1.0
     for k in range(3):
         if local[3 + k] != 0.0:

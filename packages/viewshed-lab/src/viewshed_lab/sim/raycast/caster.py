@@ -1,4 +1,4 @@
-"""What the beams of a sensor meet in a world: exact first stops, without noise."""
+"""Ray caster: exact first hits of a sensor's beams in a world, without noise."""
 
 from __future__ import annotations
 
@@ -31,19 +31,19 @@ from viewshed_lab.sim.world import NOTHING, Snapshot
 def cast_world(
     snapshot: Snapshot, model: LidarModel, world_from_sensor: Rigid, motion: Motion = STILL, seed: int = 0
 ) -> ExactScan:
-    """Return what every beam of one revolution meets first, within 1e-5 of its depth.
+    """Return the first hit of every beam of one revolution; depths have a relative error of at most 1e-5.
 
-    Every solid and every triangle of the ground is tested against those beams that point at its bounding box, in
-    single precision; the stop is then measured again in double precision.
+    Every solid and every triangle of the ground is tested in single precision against the beams that point at its
+    bounding box; hits are then recomputed in double precision.
 
     Args:
-        snapshot: the solids and the ground, in the world frame, at the middle of the revolution.
+        snapshot: solids and ground, in the world frame, at the middle of the revolution.
         model: the sensor.
         world_from_sensor: pose of the sensor at the middle of the revolution.
-        motion: how it moves about that pose.
-        seed: draws where beams stop in leaves, mesh and glass, for each beam and solid.
+        motion: motion of the sensor around that pose.
+        seed: for the free paths in leaves, mesh and glass, per beam and solid.
     """
-    # The beams of the revolution in world axes, with the motion of each column.
+    # 1. The beams of the revolution in world axes, with the motion of each column.
     turns, _, time_s = column_poses(model, motion, world_from_sensor)
     turns = turned_by(world_from_sensor.rotation, turns).astype(np.float32)
     shifts_m = np.outer(time_s, motion.velocity_mps).astype(np.float32)
@@ -51,7 +51,7 @@ def cast_world(
     direction, origin = np.empty((2, model.azimuth_columns, model.rings, 3), np.float32)
     beams = _empty_beams(model)
     turn_beams(still, turns, shifts_m, rises_m, time_s, direction, origin, beams)
-    # The nearest stop of each, in single precision.
+    # 2. The nearest hit of each beam, in single precision.
     count = len(beams.x)
     nearest = Nearest(np.full(count, np.inf, np.float32), np.full(count, -1, np.int32))
     solids = _solids(snapshot, world_from_sensor.translation, seed)
@@ -60,7 +60,7 @@ def cast_world(
     view = _view(model, world_from_sensor, motion)
     cast_solids(beams, solids, view, _free_paths(), nearest)
     cast_terrain(beams, ground, view, nearest, len(snapshot.kind))
-    # The same stops in double precision, with what was met.
+    # 3. The same hits in double precision, with thing, material and incidence.
     shape = (model.azimuth_columns, model.rings)
     depth, thing = np.empty(shape, np.float32), np.empty(shape, np.int32)
     material, cosine = np.empty(shape, np.uint8), np.empty(shape, np.float32)
@@ -69,13 +69,13 @@ def cast_world(
         depth, thing, material, cosine,
     )  # fmt: skip
     if model.fired is not None:
-        dark = ~model.fired
-        depth[dark], thing[dark], material[dark], cosine[dark] = np.inf, NOTHING, 0, 0.0
+        not_fired = ~model.fired
+        depth[not_fired], thing[not_fired], material[not_fired], cosine[not_fired] = np.inf, NOTHING, 0, 0.0
     return ExactScan(model, world_from_sensor, motion, time_s, origin, direction, depth, thing, material, cosine)
 
 
 def _empty_beams(model: LidarModel) -> Beams:
-    """Return arrays for every beam; those that fill up the last block point up and meet nothing of interest."""
+    """Return arrays for all beams; the padding beams of the last block point up."""
     blocks = -(-model.rings // BLOCK)
     beams = np.empty((5, blocks * model.azimuth_columns * BLOCK), np.float32)
     if model.rings % BLOCK:
@@ -90,7 +90,7 @@ def _free_paths() -> NDArray[np.float32]:
 
 
 def _solids(snapshot: Snapshot, origin: NDArray[np.float64], seed: int) -> Solids:
-    """Return the solids from the sensor's position (3,), with salts by the seed."""
+    """Return the solids relative to the sensor's position (3,), with salts from the seed."""
     count = len(snapshot.kind)
     salts = np.random.Generator(np.random.PCG64(seed)).integers(0, 2**32, count, np.uint32)
     boxes = np.empty((count, 6, 3))
@@ -100,7 +100,7 @@ def _solids(snapshot: Snapshot, origin: NDArray[np.float64], seed: int) -> Solid
 
 
 def _planes(ground: Ground) -> NDArray[np.float64]:
-    """Return for every triangle a, b and c of z = a x + b y + c, and 1 / length of its normal (T, 4)."""
+    """Return a, b and c of z = a x + b y + c, and 1 / length of the normal, for every triangle (T, 4)."""
     x, y, z = ground.x, ground.y, ground.z
     along, across = np.diff(z, axis=0) / np.diff(x)[:, None], np.diff(z, axis=1) / np.diff(y)
     a, b = np.stack([along[:, :-1], along[:, 1:]], axis=-1), np.stack([across[1:], across[:-1]], axis=-1)
@@ -109,7 +109,7 @@ def _planes(ground: Ground) -> NDArray[np.float64]:
 
 
 def _view(model: LidarModel, pose: Rigid, motion: Motion) -> View:
-    """Return what the windows of the caster depend on."""
+    """Return the sensor's parameters that determine the windows of the caster."""
     swing = abs(motion.yaw_rate) * motion.period_s / 2
     tilt = float(np.hypot(pose.rotation[2, 0], pose.rotation[2, 1]))
     low_offset, high_offset, slack = _spread_of_shots(model)
@@ -130,7 +130,7 @@ def _view(model: LidarModel, pose: Rigid, motion: Motion) -> View:
 
 @lru_cache(maxsize=32)
 def _spread_of_shots(model: LidarModel) -> tuple[float, float, float]:
-    """Return least and largest azimuth of a shot from its column's, and how far its slope is off its ring's at most."""
+    """Return the smallest and largest azimuth offset of a shot from its column, and the largest slope offset."""
     if model.shots is None:
         return float(model.azimuth_offset.min()), float(model.azimuth_offset.max()), 0.0
     columns = -np.pi + (np.arange(model.azimuth_columns) + 0.5) * model.azimuth_step

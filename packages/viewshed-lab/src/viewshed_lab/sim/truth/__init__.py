@@ -1,1 +1,1 @@
-"""The exact field of view of a simulated sweep."""
+"""Exact field of view of simulated sweeps."""

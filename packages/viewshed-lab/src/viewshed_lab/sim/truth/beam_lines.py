@@ -1,4 +1,4 @@
-"""Beams as lines over the plane, sorted by azimuth: what the exact truth and labels of real sweeps are counted on."""
+"""Beams as lines over the plane, sorted by azimuth; exact truth and labels of real sweeps are counted on them."""
 
 from __future__ import annotations
 
@@ -20,37 +20,37 @@ SECTORS = 256
 """Sectors of azimuth in which the slopes of each ring are bounded."""
 
 BEND, ALONG_X, ALONG_Y, RISE, SLOPE, STOP, REACH = range(7)
-"""What a beam is, as a line over the plane: distance by which it passes the sensor's reference position on its right,
-horizontal unit direction, height where it passes, rise over run, and the run from there to its stop."""
+"""Rows of a beam as a line over the plane: distance at which it passes the sensor's reference position on the right,
+horizontal unit direction, height at that point, slope (rise over run), run from there to its hit; for tiles: reach."""
 
 _PI = np.float32(np.pi)
 
 
 class SortedBeams(NamedTuple):
-    """The lines of a revolution, ring by ring in bins of azimuth, as many as there are columns."""
+    """The lines of a revolution, ring by ring, sorted into as many azimuth bins as there are columns."""
 
-    # (R, T, 7, LANES) float32 of ascending bins, filled up with beams that meet nothing (NaN); the last row says how
-    # far the stops of a tile's beams lie from the sensor at most, in its first lane
+    # (R, T, 7, LANES) float32 by ascending bin, padded with NaN; the first lane of the last row is the largest distance
+    # of a tile's hits from the sensor
     tiles: F32
-    starts: NDArray[np.int32]  # (bins + 1, R) int32 where the beams of each bin begin
+    starts: NDArray[np.int32]  # (bins + 1, R) int32 index of the first beam of each bin
     bounds: F32  # (2, SECTORS, R) float32 slopes, see :func:`slope_bounds`
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BeamLines:
-    """The beams of one revolution as lines that end, ready to be counted."""
+    """The beams of one revolution as line segments, ready for counting."""
 
     lines: F32  # (6, C·R) float32, rows ``BEND`` to ``STOP``
     azimuth: F32  # (C·R,) float32 of the beams
-    sorted: SortedBeams  # the same by azimuth
+    sorted: SortedBeams  # the same, sorted by azimuth
     offset_m: np.float32  # largest horizontal distance of a beam's start from the reference position
-    lowest_m: np.float32  # least height of a beam's start
+    lowest_m: np.float32  # smallest height of a beam's start
     highest_m: np.float32  # largest height of a beam's start
-    max_range_m: np.float32  # how far the sensor sees
+    max_range_m: np.float32  # of the sensor
 
     @classmethod
     def of(cls, origin_m: F32, direction: F32, depth_m: F32, max_range_m: float, yaw: float = 0.0) -> BeamLines:
-        """Return beams with starts and unit directions (C, R, 3) that stop at depths (C, R), in axes turned by yaw."""
+        """Return beams of starts and unit directions (C, R, 3) and depths (C, R) as lines in axes rotated by yaw."""
         farthest = np.float32(max_range_m)
         lines, azimuth = beam_lines(origin_m, direction, depth_m, np.cos(yaw), np.sin(yaw), farthest)
         rings = depth_m.shape[1]
@@ -62,7 +62,7 @@ class BeamLines:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def extent_of(origin: Any) -> Any:
-    """Return the largest horizontal distance of starts (C, R, 3) from the reference, their least and largest height."""
+    """Return the largest horizontal distance of starts (C, R, 3) from the reference, and their height bounds."""
     apart2, lowest, highest = np.float32(0.0), np.float32(np.inf), np.float32(-np.inf)
     for c in range(origin.shape[0]):
         for k in range(origin.shape[1]):
@@ -73,10 +73,10 @@ def extent_of(origin: Any) -> Any:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def beam_lines(origin: Any, direction: Any, depth: Any, cos: Any, sin: Any, max_range: Any) -> Any:
-    """Return lines (6, C·R) float32 in axes turned by an angle (``cos``, ``sin``), and their azimuths (C·R,).
+    """Return lines (6, C·R) float32 in axes rotated by an angle (``cos``, ``sin``), and their azimuths (C·R,).
 
-    Starts and directions (C, R, 3), depths (C, R). Seen from above a beam is a ray: it passes the reference position at
-    distance ``BEND``, where it is ``RISE`` high, and stops after a run of ``STOP`` from there.
+    ``origin`` and ``direction`` are (C, R, 3), ``depth`` (C, R). From above a beam is a ray: it passes the reference
+    position at distance ``BEND`` and height ``RISE``, and ends after a run of ``STOP`` from there.
     """
     count = depth.size
     out, azimuth = np.empty((6, count), np.float32), np.empty(count, np.float32)
@@ -92,17 +92,17 @@ def beam_lines(origin: Any, direction: Any, depth: Any, cos: Any, sin: Any, max_
         out[BEND, n], out[ALONG_X, n], out[ALONG_Y, n] = oy * ux - ox * uy, ux, uy
         out[RISE, n], out[SLOPE, n] = start[n, 2] - slope * begin, slope
         out[STOP, n] = begin + min(length[n], max_range) * flat
-    for n in range(count):  # a loop of its own, so that the one above fills vector registers
+    for n in range(count):  # a separate loop, so that the one above is vectorized
         azimuth[n] = atan2(out[ALONG_Y, n], out[ALONG_X, n])
     return out, azimuth
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def sorted_tiles(beams: Any, azimuth: Any, rings: Any) -> Any:
-    """Return tiles and starts, see :class:`SortedBeams`, of lines (6, C·R): a counting sort of each ring's beams."""
+    """Return tiles and starts, see :class:`SortedBeams`, of lines (6, C·R), by a counting sort of each ring."""
     columns = azimuth.size // rings
     per_rad = np.float32(columns / (2 * np.pi))
-    # How many beams of each ring lie in each bin, then how many before it.
+    # Count the beams of each ring in each bin, then accumulate over the bins.
     starts = np.zeros((columns + 1, rings), np.int32)
     bins = np.empty(azimuth.size, np.int32)
     ring = 0
@@ -113,7 +113,7 @@ def sorted_tiles(beams: Any, azimuth: Any, rings: Any) -> Any:
     for b in range(columns):
         for k in range(rings):
             starts[b + 1, k] += starts[b, k]
-    # Each beam to the next free place of its bin.
+    # Put each beam into the next free place of its bin.
     free = starts[:columns].copy()
     tiles = np.empty((rings, (columns + LANES - 1) // LANES, 7, LANES), np.float32)
     tiles[:, -1, :REACH], tiles[:, :, REACH] = np.float32(np.nan), np.float32(0.0)
@@ -134,8 +134,8 @@ def sorted_tiles(beams: Any, azimuth: Any, rings: Any) -> Any:
 def slope_bounds(slope: Any, azimuth: Any, rings: Any) -> Any:
     """Return two bounds (2, SECTORS, R) of slopes (C·R,) that ascend with the ring.
 
-    The largest slope of any ring up to this one, and the smallest of any ring from this one on, each in a sector of
-    azimuth and the two next to it.
+    The largest slope of all rings up to this one, and the smallest of all rings from this one on, each over a sector of
+    azimuth and its two neighbors.
     """
     per_rad = np.float32(SECTORS / (2 * np.pi))
     out = np.empty((2, SECTORS, rings), np.float32)
@@ -146,13 +146,13 @@ def slope_bounds(slope: Any, azimuth: Any, rings: Any) -> Any:
         out[0, sector, ring] = max(out[0, sector, ring], slope[n])
         out[1, sector, ring] = min(out[1, sector, ring], slope[n])
         ring = ring + 1 if ring < rings - 1 else 0
-    # Ascending, whatever the rings: a tilted sensor's cross.
+    # Make them ascend: the rings of a tilted sensor may cross.
     for sector in range(SECTORS):
         for k in range(1, rings):
             out[0, sector, k] = max(out[0, sector, k], out[0, sector, k - 1])
             back = rings - 1 - k
             out[1, sector, back] = min(out[1, sector, back], out[1, sector, back + 1])
-    # Over three sectors, so that a window of azimuth needs only every third.
+    # Combine three sectors, so that a window of azimuth needs only every third.
     wide = np.empty_like(out)
     for sector in range(SECTORS):
         before, after = (sector - 1) % SECTORS, (sector + 1) % SECTORS
@@ -166,10 +166,10 @@ def slope_bounds(slope: Any, azimuth: Any, rings: Any) -> Any:
 def mark_stops(
     beams: Any, counts: Any, ground: Any, x0: Any, y0: Any, per_m: Any, cells: Any, low: Any, tops: Any, out: Any
 ) -> None:
-    """Set ``out`` (targets, cells²) where a stop that ``counts`` (C·R,) lies between a height and the target's top.
+    """Set ``out`` (targets, cells²) where a hit with ``counts`` (C·R,) lies between ``low`` and the target's top.
 
-    Lines (6, C·R); ``ground`` (cells²,) under the cells' centers; ``x0`` and ``y0`` of the grid's corner, cells a
-    meter, cells a side; heights above the ground: ``low`` for all, ``tops`` (targets,).
+    ``beams`` are lines (6, C·R); ``ground`` (cells²,) is at the cell centers; ``x0`` and ``y0`` are the grid's corner,
+    ``per_m`` cells per meter, ``cells`` cells per side; ``low`` and ``tops`` (targets,) are heights above the ground.
     """
     for n in range(beams.shape[1]):
         if counts[n]:
@@ -186,7 +186,7 @@ def mark_stops(
 def stops_on_surfaces(
     lines: BeamLines, counts: NDArray[Any], ground: F32, grid: BevGrid, low_m: float, tops_m: NDArray[np.float32]
 ) -> NDArray[np.bool_]:
-    """Return which cells (targets, cells²) have a stop that counts (C·R,) between ``low_m`` and a top above ground."""
+    """Return the cells (targets, cells²) with a hit that counts (C·R,), from ``low_m`` to ``tops_m`` above ground."""
     out = np.zeros((len(tops_m), len(ground)), np.bool_)
     x0, y0 = (np.float32(corner) for corner in grid.origin_m)
     per_m, low = np.float32(1 / grid.cell_m), np.float32(low_m)

@@ -1,7 +1,7 @@
-"""Counting beams: how many aim at a plate in each cell, and how many reach it.
+"""Count the beams that aim at a plate in each cell, and those that reach it.
 
-Beams are tried one by one on the 4 x 4 cells of a patch, or, near the sensor, where the cells of a patch lie far apart
-in azimuth, 16 beams at a time on one cell. Either fills vector registers; both try every beam that may meet a plate.
+Each beam is tested against the 4 x 4 cells of a patch; near the sensor, where the cells of a patch are far apart in
+azimuth, 16 beams are tested against one cell. Both are vectorized, and both test every beam that may hit a plate.
 """
 
 from __future__ import annotations
@@ -21,22 +21,22 @@ from viewshed_lab._numba import atan2
 from viewshed_lab.sim.truth.beam_lines import LANES, REACH, SECTORS, BeamLines, stops_on_surfaces
 
 MANY = 255
-"""Beams are counted up to here."""
+"""Largest count of beams."""
 
 BELOW_GROUND_M = 0.02
-"""A beam that meets the plate this far below the ground of its cell's center counts: the ground rises by so much over
-half the width of a car at a crown of 2 %."""
+"""Depth below the ground of the cell's center down to which beams that cross the plate count: the rise of the ground
+over half the width of a car at a crown of 2 %."""
 
 _NEAR = np.float32(20.0 * 2.0 * np.pi)
-"""A patch is near where its cells spread over more than 20 columns, times the radians of a revolution."""
+"""A patch is near if its cells spread over more than 20 columns (times 2π)."""
 
 _FULL = np.int32(255 * 65537)
-"""255 beams aim, and as many reach."""
+"""Packed count: 255 beams aim, and 255 reach."""
 
 _AZIMUTH_MARGIN = np.float32(1e-4)
 
 _SLOPE_MARGIN = np.float32(1e-5)
-"""Margin of windows, against rounding that could make them too narrow."""
+"""Margins of windows against rounding."""
 
 _SIDE = 4
 """Cells along a side of a patch."""
@@ -46,17 +46,17 @@ _PI = np.float32(np.pi)
 FREE, SURFACE, HIDDEN, UNKNOWN = (np.uint8(CellState[name]) for name in ("FREE", "SURFACE", "HIDDEN", "UNKNOWN"))
 
 SURFACE_FROM_M = 0.2
-"""Stops on things from this height above local ground on make a cell a surface."""
+"""Smallest height above local ground of the hits on things that make a cell a surface."""
 
 ByTarget = dict[str, NDArray[np.uint8]]
 
 
 class Patches(NamedTuple):
-    """The cells of a grid in P patches of 4 x 4; at its edge cells are repeated."""
+    """The cells of a grid in P patches of 4 x 4; cells at the grid's edge are repeated."""
 
     lanes: F32  # (P, 3, LANES) float32 unit vector towards each cell's center, and its range
-    cells: NDArray[np.int32]  # (P, LANES) int32 the cells
-    middles: F32  # (P, 4) float32 azimuth of the middle, largest angle of a cell from it, nearest and farthest range
+    cells: NDArray[np.int32]  # (P, LANES) int32 indices of the cells
+    middles: F32  # (P, 4) float32 azimuth of the center, largest angle of a cell from it, smallest and largest range
 
 
 class Plates(NamedTuple):
@@ -66,24 +66,24 @@ class Plates(NamedTuple):
     half_b: np.float32
     high_a: np.float32
     high_b: np.float32
-    least_a: int
-    least_b: int
+    min_returns_a: int
+    min_returns_b: int
 
 
 class Limits(NamedTuple):
-    """What counts, in float32 meters."""
+    """Limits of counting, in float32 meters."""
 
-    cell: np.float32  # side of a cell: a beam reaches a plate if it stops no more than this before it
-    below: np.float32  # how far below the ground of its cell a plate may be met
+    cell: np.float32  # side of a cell: a beam reaches a plate if it ends no more than this before it
+    below: np.float32  # depth below the ground of its cell at which a plate begins
     aside: np.float32  # largest horizontal offset of a beam's start
-    lowest: np.float32  # least height of a beam's start
+    lowest: np.float32  # smallest height of a beam's start
     highest: np.float32  # largest height of a beam's start
-    max_range: np.float32  # from which nothing is counted
+    max_range: np.float32  # beyond which nothing is counted
 
 
 @lru_cache(maxsize=2)
 def ranges_of(grid: BevGrid) -> F32:
-    """Return the horizontal range of the centers (cells²,) in meters."""
+    """Return the horizontal range of the cell centers (cells²,) in meters."""
     return polar_of_cells(grid)[0].reshape(-1)
 
 
@@ -107,14 +107,14 @@ def patches_of(grid: BevGrid) -> Patches:
 def count_targets(
     lines: BeamLines, grid: BevGrid, ground: F32, targets: tuple[Target, Target], mask: Mask | None = None
 ) -> dict[str, tuple[NDArray[np.uint8], NDArray[np.uint8]]]:
-    """Return by target how many beams aim at it in each cell and how many reach it, (cells²,) uint8 up to 255.
+    """Count per target the beams that aim at it in each cell, and those that reach it, (cells²,) uint8 up to 255.
 
     Args:
         lines: the beams.
-        grid: where the cells are.
-        ground: z from the sensor (cells²,) of the ground at the cells' centers.
-        targets: what would have to be seen.
-        mask: cells (cells²,) that are wanted; others may stay 0.
+        grid: of the cells.
+        ground: z from the sensor (cells²,) of the ground at the cell centers.
+        targets: two object types.
+        mask: cells (cells²,) to count; others may stay 0.
     """
     a, b = sorted(targets, key=lambda target: -target.width_m)
     half_a, half_b, high_a, high_b = (
@@ -138,9 +138,9 @@ def count_targets(
 def reached_and_states(
     lines: BeamLines, blocks: NDArray[Any], ground: F32, grid: BevGrid, targets: tuple[Target, ...]
 ) -> tuple[ByTarget, ByTarget]:
-    """Return by target how many beams reach it, up to 255, and states (cells, cells) uint8.
+    """Return per target the number of beams that reach it, up to 255, and the states, (cells, cells) uint8.
 
-    ``blocks`` (C·R,) says which beams stopped on a thing; ``ground`` (cells²,) is z from the sensor.
+    ``blocks`` (C·R,) marks the beams that hit a thing; ``ground`` (cells²,) is z from the sensor.
     """
     tops = np.array([target.height_m for target in targets], np.float32)
     surfaces = stops_on_surfaces(lines, blocks, ground, grid, SURFACE_FROM_M, tops)
@@ -158,22 +158,22 @@ def reached_and_states(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def states_of(aimed: Any, reaching: Any, surface: Any, least: Any) -> Any:
-    """Return states (cells²,) uint8 by how many beams aim, how many reach, and whether one stopped on a thing there."""
+def states_of(aimed: Any, reaching: Any, surface: Any, min_returns: Any) -> Any:
+    """Return states (cells²,) uint8 from the numbers of aiming and reaching beams and whether one hit a thing there."""
     out = np.empty(aimed.size, np.uint8)
     for n in range(aimed.size):
-        visible, hidden = SURFACE if surface[n] else FREE, HIDDEN if aimed[n] >= least else UNKNOWN
-        out[n] = visible if reaching[n] >= least else hidden
+        visible, hidden = SURFACE if surface[n] else FREE, HIDDEN if aimed[n] >= min_returns else UNKNOWN
+        out[n] = visible if reaching[n] >= min_returns else hidden
     return out
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def count_cells(beams: Any, patches: Any, ground: Any, plates: Any, limits: Any, out: Any) -> None:
-    """Fill ``out`` (cells²,) int32, zeros before, with counts, each a byte, the lowest first.
+    """Fill ``out`` (cells²,) int32, initially 0, with four counts of one byte, the lowest byte first.
 
-    Beams aimed at the wider plate, aimed at the narrower, reaching the wider, reaching the narrower.
-    Beams that do not reach are counted as aimed up to the least number that is needed, perhaps not further: then only
-    tiles that reach the patch are looked at. ``ground`` (cells²,) is z from the sensor.
+    The counts are: beams that aim at the wider plate, aim at the narrower, reach the wider, reach the narrower. Once
+    enough beams aim, only tiles that reach the patch are tested, so the number of aiming beams may be too small beyond
+    the required minimum. ``ground`` (cells²,) is z from the sensor.
     """
     tiles, starts = beams.tiles, beams.starts
     columns, guess = starts.shape[0] - 1, (0, -1)
@@ -188,16 +188,16 @@ def count_cells(beams: Any, patches: Any, ground: Any, plates: Any, limits: Any,
         if spread * columns > _NEAR or nearest <= 2 * limits.aside:
             _count_near(beams, lanes, counts, plates, limits)
         else:
-            # The window of azimuth and rings whose beams may meet a plate of the patch.
+            # The window of azimuth and rings whose beams may hit a plate of the patch.
             angle = spread + _half_window(plates.half_a + limits.aside, nearest)
-            least, most = _slopes(nearest, farthest, bottom, top, plates.half_a, limits)
+            min_slope, max_slope = _slopes(nearest, farthest, bottom, top, plates.half_a, limits)
             first_bin, last_bin = _bins_of(azimuth, angle, columns)
-            guess, needed = _rings_of(beams.bounds, azimuth, angle, least, most, guess), np.float32(-1.0)
+            guess, needed = _rings_of(beams.bounds, azimuth, angle, min_slope, max_slope, guess), np.float32(-1.0)
             for ring in range(guess[0], guess[1] + 1):
                 begin, end, rest = _span(starts, first_bin, last_bin, ring)
                 _meet_patch(tiles, ring, begin, end, needed, lanes, plates, limits, counts)
                 _meet_patch(tiles, ring, 0, rest, needed, lanes, plates, limits, counts)
-                needed = nearest - limits.cell if _clamp(counts, plates.least_a, plates.least_b) else needed
+                needed = nearest - limits.cell if _clamp(counts, plates.min_returns_a, plates.min_returns_b) else needed
         for k in range(LANES):
             out[patches.cells[p, k]] = counts[0, k] + (counts[1, k] << 8)
 
@@ -206,7 +206,7 @@ def count_cells(beams: Any, patches: Any, ground: Any, plates: Any, limits: Any,
 def _load(patches: Any, p: Any, ground: Any, plates: Any, limits: Any, lanes: Any) -> Any:
     """Store unit vectors, ranges, bottoms and tops of a patch's plates in ``lanes``; return lowest and highest z.
 
-    A bottom is infinite where nothing counts.
+    The bottom of a plate that is not counted is infinite.
     """
     bottom, top, tall = np.float32(np.inf), np.float32(-np.inf), max(plates.high_a, plates.high_b)
     for k in range(LANES):
@@ -223,7 +223,7 @@ def _load(patches: Any, p: Any, ground: Any, plates: Any, limits: Any, lanes: An
 def _meet_patch(
     tiles: Any, ring: Any, begin: Any, end: Any, needed: Any, lanes: Any, plates: Any, limits: Any, counts: Any
 ) -> None:
-    """Add beams ``begin`` to ``end`` of a ring to the counts of a patch, if one of them reaches as far as needed."""
+    """Add beams ``begin`` to ``end`` of a ring to the counts of a patch, if any of them reaches ``needed``."""
     if _farthest(tiles, ring, begin, end) >= needed:
         for n in range(begin, end):
             t, i = np.uint64(n // LANES), np.uint64(n % LANES)
@@ -237,12 +237,12 @@ def _meet_patch(
 
 
 @njit(cache=True, nogil=True, inline="always", error_model="numpy")
-def _clamp(counts: Any, least_a: Any, least_b: Any) -> Any:
+def _clamp(counts: Any, min_returns_a: Any, min_returns_b: Any) -> Any:
     """Limit all counts to 255; return whether enough beams aim at every cell."""
     enough = 0
     for k in range(LANES):
         a, b = _limited(counts[0, k]), _limited(counts[1, k])
-        enough += 1 if (a & 255) >= least_a and (b & 255) >= least_b else 0
+        enough += 1 if (a & 255) >= min_returns_a and (b & 255) >= min_returns_b else 0
         counts[0, k], counts[1, k] = a, b
     return enough == LANES
 
@@ -255,7 +255,7 @@ def _limited(count: Any) -> Any:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _count_near(beams: Any, lanes: Any, counts: Any, plates: Any, limits: Any) -> None:
-    """Count beams by batches on each cell of a patch: near the sensor its cells have little of a window in common."""
+    """Count beams per cell of a patch, in batches of beams: near the sensor the windows of its cells overlap little."""
     tiles, starts = beams.tiles, beams.starts
     columns, guess = starts.shape[0] - 1, (0, -1)
     for k in range(LANES):
@@ -263,8 +263,8 @@ def _count_near(beams: Any, lanes: Any, counts: Any, plates: Any, limits: Any) -
         azimuth, r, a, b = atan2(plate[1], plate[0]), plate[2], np.int32(0), np.int32(0)
         if plate[3] < np.inf:
             angle = _half_window(plates.half_a + limits.aside, r)
-            least, most = _slopes(r, r, plate[3], max(plate[4], plate[5]), plates.half_a, limits)
-            guess = _rings_of(beams.bounds, azimuth, angle, least, most, guess)
+            min_slope, max_slope = _slopes(r, r, plate[3], max(plate[4], plate[5]), plates.half_a, limits)
+            guess = _rings_of(beams.bounds, azimuth, angle, min_slope, max_slope, guess)
             first_bin, last_bin = _bins_of(azimuth, angle, columns)
             needed = np.float32(-1.0)
             for ring in range(guess[0], guess[1] + 1):
@@ -272,10 +272,10 @@ def _count_near(beams: Any, lanes: Any, counts: Any, plates: Any, limits: Any) -
                 some_a, some_b = _meet_cell(tiles, ring, begin, end, needed, plate, plates, limits)
                 more_a, more_b = _meet_cell(tiles, ring, 0, rest, needed, plate, plates, limits)
                 a, b = _limited(a + some_a + more_a), _limited(b + some_b + more_b)
-                # Enough aim: from here on only beams that may reach count.
-                if (a & 255) >= plates.least_a and (b & 255) >= plates.least_b:
+                # Enough beams aim: from here on only beams that may reach are counted.
+                if (a & 255) >= plates.min_returns_a and (b & 255) >= plates.min_returns_b:
                     needed = r - limits.cell
-                # The wider plate is full: the window of the narrower one is enough.
+                # The wider plate's count is full: the narrower plate's window is enough.
                 if a == _FULL:
                     first_bin, last_bin = _bins_of(azimuth, _half_window(plates.half_b + limits.aside, r), columns)
                 if a == _FULL and b == _FULL:
@@ -285,7 +285,7 @@ def _count_near(beams: Any, lanes: Any, counts: Any, plates: Any, limits: Any) -
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _meet_cell(tiles: Any, ring: Any, begin: Any, end: Any, needed: Any, plate: Any, plates: Any, limits: Any) -> Any:
-    """Return what the tiles of beams ``begin`` to ``end`` of a ring add to the counts of both plates of a cell."""
+    """Return the counts of both plates of a cell from the tiles of beams ``begin`` to ``end`` of a ring."""
     a, b = np.int32(0), np.int32(0)
     for t in range(begin // LANES, (end + LANES - 1) // LANES):
         if tiles[ring, t, REACH, 0] >= needed:
@@ -303,13 +303,13 @@ def _meet_cell(tiles: Any, ring: Any, begin: Any, end: Any, needed: Any, plate: 
 def _aim(line: Any, plate: Any, plates: Any, limits: Any) -> Any:
     """Return for both plates 0 if the beam does not aim at it, 1 if it aims, 65537 if it also reaches.
 
-    ``line`` is a beam (``BEND`` to ``STOP``), ``plate`` where it stands: unit vector and range of its middle, bottom,
-    tops. All lengths are scaled by the cosine between beam and line of sight (``forward``), so that nothing is divided.
+    ``line`` is a beam (``BEND`` to ``STOP``); ``plate`` is unit vector and range of its center, bottom, and both tops.
+    All lengths are scaled by the cosine between beam and line of sight (``forward``), which avoids divisions.
     """
     bend, ux, uy, rise, slope, stop = line
     cx, cy, r, bottom, top_a, top_b = plate
     forward, aside = ux * cx + uy * cy, uy * cx - ux * cy
-    # Where the beam crosses the plane of the plate: its run up to there, beside the middle, and height.
+    # Crossing of the beam and the plane of the plate: run up to it, lateral offset from the center, and height.
     run, lateral = r + bend * aside, abs(bend + r * aside)
     height = rise * forward + slope * run
     ahead = (forward > np.float32(0.0)) & (height >= bottom * forward)
@@ -321,7 +321,7 @@ def _aim(line: Any, plate: Any, plates: Any, limits: Any) -> Any:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _farthest(tiles: Any, ring: Any, begin: Any, end: Any) -> Any:
-    """Return how far the tiles of a run of a ring's beams reach at most; -1 of an empty run."""
+    """Return the largest reach of the tiles of a run of a ring's beams; -1 for an empty run."""
     out = np.float32(-1.0)
     for t in range(begin // LANES, (end + LANES - 1) // LANES):
         out = max(out, tiles[ring, t, REACH, 0])
@@ -330,7 +330,7 @@ def _farthest(tiles: Any, ring: Any, begin: Any, end: Any) -> Any:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _span(starts: Any, first: Any, last: Any, ring: Any) -> Any:
-    """Return the run of a ring's beams in a window, and the end of the run from 0 where it crosses ±π (0 otherwise)."""
+    """Return the run of a ring's beams in a window, and the end of a second run from 0 if it crosses ±π (else 0)."""
     begin, end = starts[first, ring], starts[last + 1, ring]
     if first <= last:
         return begin, end, 0
@@ -341,23 +341,23 @@ def _span(starts: Any, first: Any, last: Any, ring: Any) -> Any:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _half_window(wide: Any, r: Any) -> Any:
-    """Return at least arcsin(wide / r), half the azimuths from which a beam may cross the plate."""
+    """Return an upper bound of arcsin(wide / r), half the width of the azimuth window of beams that cross the plate."""
     x = min(wide / r, np.float32(1.0))
     return x + np.float32(0.5709) * x * x * x + _AZIMUTH_MARGIN
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _slopes(nearest: Any, farthest: Any, bottom: Any, top: Any, half: Any, limits: Any) -> Any:
-    """Return the least and the greatest slope of beams that may meet plates between two ranges and heights."""
+    """Return the smallest and largest slope of beams that may hit plates between two ranges and heights."""
     low, high = bottom - limits.highest, top - limits.lowest
     near, far = nearest - limits.aside, farthest + half + 2 * limits.aside
-    least, most = low / (near if low < 0 else far), high / (far if high < 0 else near)
-    return least - _SLOPE_MARGIN, most + _SLOPE_MARGIN
+    min_slope, max_slope = low / (near if low < 0 else far), high / (far if high < 0 else near)
+    return min_slope - _SLOPE_MARGIN, max_slope + _SLOPE_MARGIN
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _bins_of(azimuth: Any, half: Any, columns: Any) -> Any:
-    """Return the first and last bin of a window, its middle and half given; the first is larger where it crosses ±π."""
+    """Return the first and last bin of a window, given its center and half width; first > last if it crosses ±π."""
     per_rad = np.float32(columns / (2 * np.pi))
     first = int(np.floor((azimuth + _PI - half) * per_rad))
     last = int(np.floor((azimuth + _PI + half) * per_rad))
@@ -367,10 +367,10 @@ def _bins_of(azimuth: Any, half: Any, columns: Any) -> Any:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _rings_of(bounds: Any, azimuth: Any, half: Any, least: Any, most: Any, guess: Any) -> Any:
+def _rings_of(bounds: Any, azimuth: Any, half: Any, min_slope: Any, max_slope: Any, guess: Any) -> Any:
     """Return the first and last ring that may have slopes between two limits in a window of azimuth.
 
-    Searched from ``guess``, the rings of the patch before: they differ by little.
+    The search starts from ``guess``, the rings of the previous patch, which differ little.
     """
     rings = bounds.shape[2]
     per_rad = np.float32(SECTORS / (2 * np.pi))
@@ -380,13 +380,13 @@ def _rings_of(bounds: Any, azimuth: Any, half: Any, least: Any, most: Any, guess
     for sector in range(begin + 1, end + 2, 3):  # a bound holds for three sectors
         s = sector % SECTORS
         f, k = min(guess[0], rings - 1), max(guess[1], 0)
-        while f > 0 and bounds[0, s, f - 1] >= least:
+        while f > 0 and bounds[0, s, f - 1] >= min_slope:
             f -= 1
-        while f < rings and bounds[0, s, f] < least:
+        while f < rings and bounds[0, s, f] < min_slope:
             f += 1
-        while k < rings - 1 and bounds[1, s, k + 1] <= most:
+        while k < rings - 1 and bounds[1, s, k + 1] <= max_slope:
             k += 1
-        while k >= 0 and bounds[1, s, k] > most:
+        while k >= 0 and bounds[1, s, k] > max_slope:
             k -= 1
         first, last = min(first, f), max(last, k)
     return first, last

@@ -1,13 +1,13 @@
-"""Definitions of visible that go by azimuth bins: farthest return, first blocker, line of sight.
+"""Definitions of visibility by azimuth bin: farthest return, first blocker, line of sight.
 
-About the sensor, in as many bins as it has columns (1080 at most). A cell counts as
+The sensor's azimuth is divided into as many bins as it has columns (1080 at most). A cell is visible by
 
-- ``farthest`` if its center is no farther than the farthest return of its bin; glass and absorbers give none;
-- ``first_blocker`` if that holds and its center is less than one cell beyond the nearest stop on a thing in its bin,
+- ``farthest`` if its center is no farther than the farthest return of its bin; glass and absorbers give no return;
+- ``first_blocker`` if that holds and its center is less than one cell beyond the nearest hit on a thing in its bin,
   at any height; the own vehicle does not block;
-- ``line_of_sight`` if a beam of its bin that is aimed between the ground and 1.5 m above the center reaches it, less
-  one cell. Where no ring falls in between, the ring above must reach it (or there is none), and the ring below must
-  reach it or have ended on the ground. Range does not limit it.
+- ``line_of_sight`` if a beam of its bin, aimed between the ground and 1.5 m above the center, reaches it, less one
+  cell. If no ring aims there, the ring above must reach it (or not exist), and the ring below must reach it or have
+  ended on the ground. Range does not limit it.
 """
 
 from __future__ import annotations
@@ -25,19 +25,19 @@ from viewshed_lab.sim.truth.beam_lines import ALONG_X, ALONG_Y, BEND, RISE, SLOP
 from viewshed_lab.sim.truth.count import ranges_of
 
 BLOCKS, RETURNS, OPEN = 1, 2, 4
-"""What a beam met, as flags: a thing that is not the sensor's own vehicle; what sends light back; nothing."""
+"""Flags of a beam: it hit a thing other than the own vehicle; it hit something that returns light; it hit nothing."""
 
 LANES = 32
-"""Number of cells of a bin that are looked at together."""
+"""Number of cells of a bin that are processed together."""
 
 FARTHEST, BLOCKER, SIGHT, BETWEEN = 1, 2, 4, 8
-"""What is known of a cell, as flags: the definitions that see it, and that a line passes over it."""
+"""Flags of a cell: visible by each definition; a beam crosses the column above it."""
 
 _PI = np.float32(np.pi)
 
 
 class Batches(NamedTuple):
-    """The cells of each azimuth bin by ascending range, LANES at a time; the last ones of a bin are repeated."""
+    """Cells of each azimuth bin by ascending range, in batches of LANES; the last cell of a bin is repeated."""
 
     cells: NDArray[np.int32]  # (B, LANES) int32
     ranges: NDArray[np.float32]  # (B, LANES) float32 of their centers
@@ -46,7 +46,7 @@ class Batches(NamedTuple):
 
 @lru_cache(maxsize=2)
 def batches_of(grid: BevGrid, bins: int) -> Batches:
-    """Return the cells of each bin of azimuth."""
+    """Return the cells of each azimuth bin."""
     azimuth = polar_of_cells(grid)[1].reshape(-1)
     own = ((azimuth + np.float32(np.pi)) * np.float32(bins / (2 * np.pi))).astype(np.int64).clip(0, bins - 1)
     order = np.lexsort((ranges_of(grid), own))
@@ -62,7 +62,7 @@ def batches_of(grid: BevGrid, bins: int) -> Batches:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def stop_flags(depth: Any, thing: Any, material: Any, vehicle: Any, reflectivity: Any) -> Any:
-    """Return the flags (C·R,) uint8 of beams by depth, thing and material (C, R); ``vehicle`` carries the sensor."""
+    """Return the flags (C·R,) uint8 of beams from depth, thing and material (C, R); ``vehicle`` is the carrier."""
     depths, things, materials = depth.reshape(-1), thing.reshape(-1), material.reshape(-1)
     out = np.empty(depths.size, np.uint8)
     for n in range(depths.size):
@@ -74,10 +74,10 @@ def stop_flags(depth: Any, thing: Any, material: Any, vehicle: Any, reflectivity
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def stop_limits(beams: Any, flags: Any, bins: Any) -> Any:
-    """Return for each azimuth bin (2, bins) the farthest return (-1 without one) and the nearest stop that blocks.
+    """Return the farthest return (-1 without one) and the nearest blocking hit of each azimuth bin (2, bins).
 
-    Lines (6, C·R), see :mod:`viewshed_lab.sim.truth.beam_lines`, and flags (C·R,); a stop lies in the bin of its own
-    azimuth, not of its beam's.
+    ``beams`` are lines (6, C·R), see :mod:`viewshed_lab.sim.truth.beam_lines`; ``flags`` (C·R,). A hit belongs to the
+    bin of its own azimuth, not of its beam's.
     """
     out = np.empty((2, bins), np.float32)
     out[0], out[1] = np.float32(-1.0), np.float32(np.inf)
@@ -98,9 +98,9 @@ def stop_limits(beams: Any, flags: Any, bins: Any) -> Any:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def beams_of_bins(beams: Any, azimuth: Any, flags: Any, rings: Any, bins: Any) -> Any:
-    """Return (bins, R, 4) the farthest-reaching beam of each azimuth bin and ring: slope, rise, run to its stop, flags.
+    """Return the farthest-reaching beam of each azimuth bin and ring (bins, R, 4): slope, rise, run to its hit, flags.
 
-    A bin without a beam of the ring takes that of the bin before it.
+    A bin without a beam of a ring takes that of the previous bin.
     """
     table = np.empty((bins, rings, 4), np.float32)
     table[:, :, 2] = np.float32(-1.0)
@@ -124,7 +124,7 @@ def beams_of_bins(beams: Any, azimuth: Any, flags: Any, rings: Any, bins: Any) -
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def see_cells(limits: Any, table: Any, batches: Any, ground: Any, high: Any, below: Any, cell: Any, out: Any) -> None:
-    """Fill ``out`` (cells²,) uint8 with FARTHEST, BLOCKER and SIGHT of the definitions that see a cell.
+    """Fill ``out`` (cells²,) uint8 with the flags FARTHEST, BLOCKER and SIGHT.
 
     Args:
         limits: (2, bins) from :func:`stop_limits`.
@@ -132,7 +132,7 @@ def see_cells(limits: Any, table: Any, batches: Any, ground: Any, high: Any, bel
         batches: :class:`Batches`.
         ground: (cells²,) z from the sensor's height.
         high: height of the column above a cell.
-        below: how far below the ground it begins.
+        below: depth below the ground at which the column begins.
         cell: side of a cell.
         out: as above.
     """
@@ -149,7 +149,7 @@ def see_cells(limits: Any, table: Any, batches: Any, ground: Any, high: Any, bel
             columns[0, k], columns[1, k], columns[2, k] = r, height - below, height + high
             near = FARTHEST | BLOCKER if r - cell <= blocker else FARTHEST
             seen[k] = near if r <= farthest else 0
-        # Line of sight: a beam of the bin passes over the cell, or the gap between two rings lets see it.
+        # Line of sight: a beam of the bin crosses the column, or the cell is visible through the gap between two rings.
         near_m, far_m = ranges[0], ranges[LANES - 1]
         first = _first_above(table, b, near_m, far_m, low - below, first)
         if _meet_columns(table, b, near_m, far_m, cell, first, top + high, columns, seen) < LANES:
@@ -162,7 +162,7 @@ def see_cells(limits: Any, table: Any, batches: Any, ground: Any, high: Any, bel
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _extremes(columns: Any) -> Any:
-    """Return the least and the largest of the first row (3, LANES), by halves: that fills vector registers."""
+    """Return minimum and maximum of the first row (3, LANES), by halving, which is vectorized."""
     for k in range(LANES):
         columns[1, k], columns[2, k] = columns[0, k], columns[0, k]
     for half in (16, 8, 4, 2, 1):
@@ -174,7 +174,7 @@ def _extremes(columns: Any) -> Any:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _first_above(table: Any, b: Any, near: Any, far: Any, bottom: Any, ring: Any) -> Any:
-    """Return the first ring that is not below the bottoms of all columns between two ranges, found from a guess."""
+    """Return the first ring not below the bottoms of all columns between two ranges; the search starts at ``ring``."""
     while ring > 0 and _highest(table, b, ring - 1, near, far) >= bottom:
         ring -= 1
     while ring < table.shape[1] and _highest(table, b, ring, near, far) < bottom:
@@ -184,7 +184,7 @@ def _first_above(table: Any, b: Any, near: Any, far: Any, bottom: Any, ring: Any
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _highest(table: Any, b: Any, ring: Any, near: Any, far: Any) -> Any:
-    """Return the larger height of a ring's line at two ranges."""
+    """Return the larger height of a ring's beam at two ranges."""
     slope, rise = table[b, ring, 0], table[b, ring, 1]
     return max(rise + near * slope, rise + far * slope)
 
@@ -193,7 +193,7 @@ def _highest(table: Any, b: Any, ring: Any, near: Any, far: Any) -> Any:
 def _meet_columns(
     table: Any, b: Any, near: Any, far: Any, cell: Any, ring: Any, top: Any, columns: Any, seen: Any
 ) -> Any:
-    """Flag in ``seen`` whether lines pass between bottom and top of columns, and reach them; return how many have such.
+    """Flag in ``seen`` the columns that beams cross (BETWEEN) and reach (SIGHT); return the number of crossed ones.
 
     ``columns`` (3, LANES) is range, bottom and top of the columns; rings from ``ring`` on, up to one above ``top``.
     """
@@ -204,18 +204,18 @@ def _meet_columns(
         for k in range(LANES):
             height = rise + columns[0, k] * slope
             between = (height >= columns[1, k]) & (height <= columns[2, k])
-            worth = np.int32(BETWEEN | SIGHT) if run >= columns[0, k] - cell else np.int32(BETWEEN)
-            seen[k] |= worth if between else np.int32(0)
+            flag = np.int32(BETWEEN | SIGHT) if run >= columns[0, k] - cell else np.int32(BETWEEN)
+            seen[k] |= flag if between else np.int32(0)
         ring += 1
-    some = 0
+    crossed = 0
     for k in range(LANES):
-        some += 1 if seen[k] >= BETWEEN else 0
-    return some
+        crossed += 1 if seen[k] >= BETWEEN else 0
+    return crossed
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _through_gap(table: Any, b: Any, ring: Any, r: Any, bottom: Any, cell: Any) -> Any:
-    """Return SIGHT where the rings above and below the bottom of a column let see between them, or 0."""
+    """Return SIGHT if the column is visible through the gap between the rings above and below its bottom, else 0."""
     rings = table.shape[1]
     while ring < rings and table[b, ring, 1] + r * table[b, ring, 0] < bottom:
         ring += 1

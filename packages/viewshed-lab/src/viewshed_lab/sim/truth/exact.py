@@ -1,4 +1,4 @@
-"""Exact truth: which cells a sensor could see, counted on the beams of a scan without noise."""
+"""Exact truth: the cells that a sensor can see, counted on the beams of a noise-free scan."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from viewshed_lab.sim.truth.definitions import (
 from viewshed_lab.sim.world import DECK, GROUND, Agent, Thing, World
 
 MAX_BINS = 1080
-"""Azimuth bins of the other definitions, at most; less where the sensor has fewer columns."""
+"""Largest number of azimuth bins of the other definitions; the number of columns if that is smaller."""
 
 
 def exact_truth(
@@ -43,22 +43,23 @@ def exact_truth(
     targets: tuple[Target, ...] = (CAR, PEDESTRIAN),
     agent: Agent | None = None,
 ) -> tuple[Truth, Mask]:
-    """Return the truth of a scan on ``grid``, and where it is known (cells, cells).
+    """Return the truth of a scan on ``grid``, and the mask (cells, cells) bool where it is known.
 
-    For a cell whose center lies at horizontal range r from the sensor, the target is an upright plate of its width and
-    height through the center, across the line of sight, on the ground there. A beam *aims* at it if it crosses it, and
-    *reaches* it if it stops no more than a cell's side before it, measured along the line of sight. It may
-    cross up to 2 cm below the ground of the center, as at a crown of 2 %. A beam that meets nothing stops at the
-    maximum range. FREE: at least ``min_returns`` reach. SURFACE: that, and a stop on a thing lies in the cell, from
-    .2 m above its ground up to the target's top. HIDDEN: enough aim, fewer reach. UNKNOWN: fewer aim. Not known are
-    cells beyond the terrain, nearer than the sensor moves within the revolution, and of the own vehicle.
+    The target of a cell is an upright plate of the target's width and height through the cell's center, perpendicular
+    to the line of sight, on the ground there. A beam *aims* at the plate if it crosses it, and *reaches* it if it ends
+    no more than a cell's side before it, measured along the line of sight. It may cross up to 2 cm below the ground of
+    the center, as at a crown of 2 %. A beam without a hit ends at the maximum range.
+
+    FREE: at least ``min_returns`` beams reach. SURFACE: the same, and a hit on a thing lies in the cell, from 0.2 m
+    above its ground up to the target's top. HIDDEN: enough beams aim, fewer reach. UNKNOWN: fewer aim. The truth is not
+    known for cells outside the terrain, closer than the sensor moves within the revolution, and of the own vehicle.
 
     Args:
-        scan: what every beam met.
-        world: where it was made, or its ground. In a world with several levels the ground is that of ``agent``.
-        grid: where the cells are, in the ``level`` frame of the scan.
-        targets: what would have to be seen.
-        agent: who scanned. Cells that its own vehicle covers are not known, and its own body blocks no bin.
+        scan: exact hits of the beams.
+        world: the scanned world, or its ground. In a world with several levels the ground is that of ``agent``.
+        grid: of the truth, in the ``level`` frame of the scan.
+        targets: object types whose visibility is determined.
+        agent: the scanning agent. Cells that its vehicle covers are not known, and its vehicle blocks no bin.
     """
     if not targets:
         raise ValueError("targets must be at least one, got none")
@@ -69,7 +70,7 @@ def exact_truth(
     centers = grid.centers
     ground, known = terrain.about(scan.world_from_sensor, centers[:, 0, 0].copy(), centers[0, :, 1].copy())
     ground, pose, vehicle = ground.reshape(-1), scan.world_from_sensor, None if agent is None else agent.carrier
-    # The beams as lines in the axes of the grid, and what stopped them; no thing has the number -3.
+    # The beams as lines in the axes of the grid, and their flags; no thing has the index -3.
     lines = BeamLines.of(scan.origin_m, scan.direction, scan.depth_m, scan.model.max_range_m, pose.yaw)
     flags = stop_flags(scan.depth_m, scan.thing, scan.material, -3 if vehicle is None else vehicle, REFLECTIVITY)
     known &= (ranges_of(grid) > lines.offset_m).reshape(grid.shape)
@@ -82,7 +83,7 @@ def exact_truth(
 def _definitions(
     lines: BeamLines, flags: NDArray[np.uint8], ground: NDArray[np.float32], grid: BevGrid, model: LidarModel
 ) -> dict[str, Mask]:
-    """Return the masks (cells, cells) of the definitions that others use."""
+    """Return the masks (cells, cells) of the other definitions of visibility."""
     bins = min(model.azimuth_columns, MAX_BINS)
     limits = stop_limits(lines.lines, flags, bins)
     table = beams_of_bins(lines.lines, lines.azimuth, flags, model.rings, bins)
@@ -93,11 +94,11 @@ def _definitions(
 
 
 def _covered(vehicle: Thing, world_from_thing: Rigid, grid: BevGrid, pose: Rigid) -> Mask:
-    """Return which cells (cells, cells) of a grid at ``pose`` the upright box around a thing's solids touches."""
+    """Return the cells (cells, cells) of a grid at ``pose`` that the upright bounding box of a thing touches."""
     rear, front, right, left = extent(vehicle, np.inf)
     low, high = np.array([rear, right]) - grid.cell_m / 2, np.array([front, left]) + grid.cell_m / 2
-    away = float(np.linalg.norm(world_from_thing.translation - pose.translation))
-    near = np.flatnonzero(ranges_of(grid) <= away + np.abs([low, high]).sum())
+    distance_m = float(np.linalg.norm(world_from_thing.translation - pose.translation))
+    near = np.flatnonzero(ranges_of(grid) <= distance_m + np.abs([low, high]).sum())
     x, y = grid.centers.reshape(-1, 2)[near].T
     c, s = np.cos(pose.yaw), np.sin(pose.yaw)
     position = np.stack([c * x - s * y + pose.translation[0], s * x + c * y + pose.translation[1]], axis=-1)

@@ -1,4 +1,4 @@
-"""Procedural worlds: one function a kind, by name in the table ``WORLDS``."""
+"""Procedural worlds: one function per kind, by name in the table ``WORLDS``."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from viewshed_lab.sim.worlds.slope_town import slope_town
 from viewshed_lab.sim.worlds.street import glass_fronts, street
 
 WorldMaker = Callable[[np.random.Generator, AgentPlan], World]
-"""Makes a world with the agents of a plan; the same state of the generator gives the same world."""
+"""Makes a world with the agents of a plan; the same generator state gives the same world."""
 
 _MAKERS = (
     street, junction, highway, parking, residential, rooms, corridors, hall, warehouse, bridge, pit, quay, garage,
@@ -37,6 +37,6 @@ _MAKERS = (
 )  # fmt: skip
 
 WORLDS: dict[str, WorldMaker] = {maker.__name__: maker for maker in _MAKERS}
-"""Every kind of world by name; to add one, write its function and name it above."""
+"""Every kind of world by name; to add one, write its function and add it to ``_MAKERS``."""
 
 __all__ = ["WORLDS", "WorldMaker"]

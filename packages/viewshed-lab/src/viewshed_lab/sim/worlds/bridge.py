@@ -1,4 +1,4 @@
-"""A road bridge over another road: an embankment and a deck, or an underpass; sensors on both levels."""
+"""A road bridge over another road: embankment and deck, or an underpass, with sensors on both levels."""
 
 from __future__ import annotations
 
@@ -29,20 +29,20 @@ class Crossing:
     """Two roads, one along x on the upper level, one along y on the lower; heights from the lower road."""
 
     high_m: float  # of the upper road where it crosses
-    grade: float  # by which the upper road falls away from the crossing (negative: it rises)
+    grade: float  # slope by which the upper road falls away from the crossing (negative: it rises)
     land_m: float  # height of the land between the roads
     gap_m: float  # between the abutments
-    at_m: float  # x of the middle of the gap
+    at_m: float  # x of the center of the gap
     deck_m: float  # half the width of the deck
-    low_m: float  # half the width of the lower road, to where the land may rise
-    cut: float  # meters that the land rises for each meter beyond that
+    low_m: float  # half the width of the lower road; beyond it the land may rise
+    cut: float  # slope of the land beyond that
     lane_m: float  # width of a lane
     lie: Relief  # of the land
 
     def road(self, x: F64) -> F64:
         """Return z of the upper road: level over the gap and 8 m to either side, then on a grade."""
-        away = np.clip(np.abs(x - self.at_m) - self.gap_m / 2 - 8.0, 0.0, 70.0)
-        return np.asarray(self.high_m - self.grade * away)
+        distance_m = np.clip(np.abs(x - self.at_m) - self.gap_m / 2 - 8.0, 0.0, 70.0)
+        return np.asarray(self.high_m - self.grade * distance_m)
 
     def height(self, x: F64, y: F64) -> F64:
         """Return z of the ground: the lower road and its banks in the gap, the embankment outside."""
@@ -74,7 +74,7 @@ class Crossing:
         return Terrain.of(x_m, y_m, self.height, self.material), Terrain.of(x_m, y_m, self.top, self.material)
 
     def material(self, x: F64, y: F64) -> NDArray[np.uint8]:
-        """Return what the ground is made of, rows (…,) of ``MATERIALS``."""
+        """Return the material of the ground, rows (…,) of ``MATERIALS``."""
         off = np.abs(x - self.at_m)
         paved = (off < self.low_m) | ((np.abs(y) < self.deck_m) & (off > self.gap_m / 2 + _FACE_M))
         face = (np.abs(off - self.gap_m / 2) < _FACE_M) | ((off > self.low_m) & (off < self.gap_m / 2))
@@ -118,7 +118,7 @@ def _crossing(rng: np.random.Generator) -> Crossing:
 
 
 def _masts(rng: np.random.Generator, count: int, cross: Crossing) -> list[Mast]:
-    """Return masts beside the lower road, some way from the deck."""
+    """Return masts beside the lower road, at some distance from the deck."""
     posts = []
     for k in range(count):
         x, side = cross.at_m + pick(rng, (-1, 1)) * (cross.low_m - 0.4), -1 if k % 2 else 1
@@ -128,7 +128,7 @@ def _masts(rng: np.random.Generator, count: int, cross: Crossing) -> list[Mast]:
 
 
 def _structure(rng: np.random.Generator, cross: Crossing) -> list[Thing]:
-    """Return deck, girders, piers or none, parapets, and what stands on the upper road."""
+    """Return deck, girders, optional piers, parapets, and the things on the upper road."""
     top, long, wide = cross.high_m, cross.gap_m + 1.2, 2 * cross.deck_m
     deep = min(rng.uniform(0.7, 1.6), top - _LEAST_CLEAR_M)
     slab = 0.45 * deep

@@ -28,7 +28,7 @@ from viewshed_lab.sim.worlds.traffic import Pace, driven
 
 
 def country_road(rng: np.random.Generator, plan: AgentPlan) -> World:
-    """Return a country road, now and then of gravel, with the agents of ``plan`` on it and beside it.
+    """Return a country road, sometimes of gravel, with the agents of ``plan`` on it and beside it.
 
     A country road that bends and climbs through fields: ditches, trees, hedges, fences, walls at any angle.
     """
@@ -88,7 +88,7 @@ def open_field(rng: np.random.Generator, plan: AgentPlan) -> World:
 
 
 def embankment(rng: np.random.Generator, plan: AgentPlan) -> World:
-    """Return a road on an embankment, at times with a hillside or level ground at one of its sides.
+    """Return a road on an embankment, sometimes with a hillside or level ground at one of its sides.
 
     A road on an embankment: beside it the ground falls away by 2 to 8 m, behind a guard rail or behind nothing.
     """
@@ -163,7 +163,7 @@ def cutting(rng: np.random.Generator, plan: AgentPlan) -> World:
 
 
 def _slope(rng: np.random.Generator, high_m: float) -> Bank:
-    """Return a ditch and a slope of 1 : 0.6 to 1 : 1.8, at times with a berm half way up."""
+    """Return a ditch and a slope of 1 : 0.6 to 1 : 1.8, sometimes with a berm half way up."""
     wide, ditch = rng.uniform(0.6, 1.8) * high_m, rng.uniform(0.0, 0.5)
     berm = rng.uniform(1.0, 3.0) if high_m > 4.0 and rng.random() < 0.4 else 0.1
     beyond = (0.0, 0.8, 1.4, 1.4 + wide / 2, 1.4 + wide / 2 + berm, 1.4 + wide + berm)

@@ -1,6 +1,6 @@
 """Roads beside an edge where the ground drops by 2 to 6 m: construction pits, quays, loading yards, terraces.
 
-Ground that falls away beside a drive lane: pits and quays with upright faces, ramps into them, what guards them.
+Pits and quays have vertical faces, ramps, and guards along their edges.
 """
 
 from __future__ import annotations
@@ -54,27 +54,27 @@ from viewshed_lab.sim.worlds.site_plan import SitePlan, beside
 from viewshed_lab.sim.worlds.traffic import Pace, driven
 
 FACE_M = 0.03
-"""Width over which the ground falls at an upright face."""
+"""Width over which the ground falls at a vertical face."""
 
 
 @dataclass(frozen=True, slots=True)
 class Drop:
-    """A part of the ground that lies lower, with upright faces."""
+    """A lower part of the ground with a level floor and vertical faces."""
 
-    rect: Rect  # where
-    deep_m: float  # below the road beside its middle, level
-    floor: str  # what it is made of; ``absorber`` is water
-    # a part of ``rect`` whose end at the lowest x is on the ground's level and whose other end on the floor's, or None
+    rect: Rect  # its area
+    deep_m: float  # depth of the floor below the road beside its center
+    floor: str  # material of the floor; ``absorber`` is water
+    # a part of ``rect`` that descends along x from the ground to the floor, or None
     ramp: Rect | None = None
 
     def lines(self) -> tuple[list[float], list[float]]:
-        """Return where the ground has its edges, in x and in y."""
+        """Return the edges of the ground in x and in y."""
         rects = [self.rect] if self.ramp is None else [self.rect, self.ramp]
         return ([edge + step for one in rects for edge in one[::2] for step in (-FACE_M / 2, FACE_M / 2)],
                 [edge + step for one in rects for edge in one[1::2] for step in (-FACE_M / 2, FACE_M / 2)])  # fmt: skip
 
     def edges(self) -> list[shapely.Polygon]:
-        """Return where nothing may stand: within 0.3 m of its faces, and on its ramp."""
+        """Return the areas to keep free: within 0.3 m of its faces, and on its ramp."""
         ramp = [] if self.ramp is None else [shapely.box(*self.ramp)]
         return [shapely.box(*self.rect).exterior.buffer(0.3), *ramp]
 
@@ -113,7 +113,7 @@ def terrain_with(road: Roadway, drops: list[Drop]) -> Terrain:
 
 
 def guarded(rng: np.random.Generator, span_m: Span, y_m: float) -> list[Thing]:
-    """Return what guards an edge along x: a rail, a barrier, a fence, posts, boards, cones, or nothing at all."""
+    """Return the guard of an edge along x: a rail, a barrier, a fence, posts, boards, cones, or nothing."""
     makers: tuple[tuple[float, float, Callable[[], Thing]], ...] = (
         (0.12, 4.0, lambda: replace(guard_rail(3.95), tilts=False)),
         (0.24, 4.0, lambda: replace(concrete_barrier(3.95), tilts=False)),
@@ -169,7 +169,7 @@ def pit(rng: np.random.Generator, plan: AgentPlan) -> World:
 
 
 def _pits(rng: np.random.Generator, road: Roadway, side: int) -> list[Drop]:
-    """Return pits on one side one after another, often with a ramp; now and then one across the road as well."""
+    """Return pits on one side one after another, often with a ramp; sometimes one across the road as well."""
     drops, at = [], -rng.uniform(40.0, 70.0)
     while at < 45.0:
         long, wide, deep = rng.uniform(18.0, 60.0), rng.uniform(9.0, 32.0), rng.uniform(2.0, 6.0)
@@ -258,7 +258,7 @@ def quay(rng: np.random.Generator, plan: AgentPlan) -> World:
 
 
 def _edges(rng: np.random.Generator, road: Roadway, side: int, water: bool) -> list[Drop]:
-    """Return the lower ground, as far as the world goes, and at times a second step down, or an inlet."""
+    """Return the lower ground, as far as the world goes, and sometimes a second step down, or an inlet."""
     near, deep = road.edge_m + rng.uniform(0.6, 6.0), rng.uniform(2.0, 6.0)
     floor = "absorber" if water else pick(rng, ("asphalt", "concrete", "grass"))
     ramp = None
@@ -299,7 +299,7 @@ def _ship(rng: np.random.Generator, deep_m: float) -> Thing:
 
 
 def _behind(rng: np.random.Generator, site: SitePlan, road: Roadway, side: int) -> None:
-    """Put what a quay has on its landward side: parked vehicles, goods or benches, trees, cranes, houses or sheds."""
+    """Put parked vehicles, goods or benches, trees, cranes, houses or sheds on the landward side of a quay."""
     port = rng.random() < 0.5
     y = side * (road.edge_m + 2.2)
     for x in spots(rng, (-HALF_M, HALF_M), 1.2, (3.0, 22.0)):

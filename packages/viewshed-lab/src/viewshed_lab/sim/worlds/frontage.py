@@ -1,4 +1,4 @@
-"""What lines a street in town: parked vehicles, furniture and trees on the sidewalk, buildings, people."""
+"""Sides of town streets: parked vehicles, furniture and trees on the sidewalk, buildings, people."""
 
 from __future__ import annotations
 
@@ -45,9 +45,9 @@ class Side:
     yaw: float  # of u in the world; v is to the left of it
     road: Road  # the street
     setback_m: float  # from the sidewalk to the fronts
-    depth_m: float  # of the buildings, at most
-    parked: float  # share of the parking strip that is taken, 0 if there is none
-    green: float  # how many of the spots on the sidewalk are trees
+    depth_m: float  # largest depth of the buildings
+    parked: float  # occupied share of the parking strip, 0 if there is none
+    green: float  # share of trees among the objects on the sidewalk
     furniture_gap_m: Span  # smallest and largest gap between two spots
     detail_m: float = 72.0  # buildings farther along than this have plain walls
 
@@ -58,14 +58,14 @@ class Side:
 
 
 def random_side(rng: np.random.Generator, yaw: float, road: Road, parking: bool) -> Side:
-    """Return a side of a street, drawn."""
+    """Return a random side of a street."""
     parked = rng.uniform(0.3, 0.95) if parking else 0.0
     gap = rng.uniform(2.5, 6.0)
     return Side(yaw, road, rng.uniform(0.5, 2.5), rng.uniform(10, 14), parked, rng.uniform(0.0, 0.6), (gap, 2.5 * gap))
 
 
 def parked(rng: np.random.Generator, side: Side, span_m: Span, closed: Sequence[Span] = ()) -> list[Thing]:
-    """Return vehicles at the curb, between other free bays, facing as the traffic beside them drives."""
+    """Return parked vehicles at the curb with free bays between them, heading with the traffic beside them."""
     things = []
     if side.parked:
         for u in spots(rng, span_m, _BAY_M, (0.4, 1.0), closed):
@@ -77,7 +77,7 @@ def parked(rng: np.random.Generator, side: Side, span_m: Span, closed: Sequence[
 
 
 def furniture(rng: np.random.Generator, side: Side, span_m: Span, closed: Sequence[Span] = ()) -> list[Thing]:
-    """Return lamps, trees, signs, bins and the like on the strip behind the curb, now and then a shelter or a group."""
+    """Return lamps, trees, signs, bins and the like on the strip behind the curb, sometimes a shelter or a group."""
     things: list[Thing] = []
     wide = side.road.walk_m >= _WIDE_WALK_M
     for u in spots(rng, span_m, 4.0 if wide else 1.9, side.furniture_gap_m, closed):
@@ -94,7 +94,7 @@ def furniture(rng: np.random.Generator, side: Side, span_m: Span, closed: Sequen
 
 
 def buildings(rng: np.random.Generator, side: Side, span_m: Span, gap_share: float = 0.15) -> list[Thing]:
-    """Return a row of buildings; now and then a gap with a wall or a fence, or a lot with a fence and bushes."""
+    """Return a row of buildings; sometimes a gap with a wall or a fence, or a lot with a fence and bushes."""
     things: list[Thing] = []
     front, end = side.road.edge_m + side.setback_m, span_m[0]
     for middle, length in plots(rng, span_m, (9.0, 24.0), 5.0, gap_share):
@@ -112,7 +112,7 @@ def buildings(rng: np.random.Generator, side: Side, span_m: Span, gap_share: flo
 
 
 def walkers(rng: np.random.Generator, side: Side, reach_m: float, duration_s: float) -> list[Rider]:
-    """Return pedestrians who walk along the far part of the sidewalk, all on a line at one pace."""
+    """Return pedestrians on the far part of the sidewalk, on one line and at one speed."""
     riders: list[Rider] = []
     lines = (0.5, 1.2) if side.road.walk_m >= 3.0 else (0.5,)
     for inset in lines:

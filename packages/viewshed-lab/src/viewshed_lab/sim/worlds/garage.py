@@ -27,16 +27,16 @@ _FACE_M = 0.03
 class Storey:
     """One storey of a garage: its floor is level at 0."""
 
-    half_x_m: float  # from its middle to the outer walls
-    aisles_m: tuple[float, ...]  # y of the middles of the aisles
-    low_y_m: float  # least y, where the strip of ramps begins
+    half_x_m: float  # from its center to the outer walls
+    aisles_m: tuple[float, ...]  # y of the aisles' axes
+    low_y_m: float  # smallest y, where the strip of ramps begins
     high_y_m: float  # largest y
     rise_m: float  # from floor to floor
     slab_m: float  # thickness of the ceiling
-    # where the floor rises (up) or falls (down) along x, from which end; height at the far end
+    # whether the floor rises (up) or falls (down) along x, from which end; height at the far end
     ramps: tuple[tuple[Rect, float], ...]
     outside_m: float  # height of the ground around; above the ceiling for a basement
-    free_m: float  # height up to which nothing hangs from the ceiling, over the sensors of those who drive
+    free_m: float  # clear height below hanging things, above the sensors of vehicles
 
     @property
     def top_m(self) -> float:
@@ -49,7 +49,7 @@ class Storey:
         return self.half_x_m - _END_M
 
     def height(self, x: F64, y: F64) -> F64:
-        """Return z of the ground at places of any one shape."""
+        """Return z of the ground at points of equal shape."""
         inside = (np.abs(x) < self.half_x_m) & (y > self.low_y_m) & (y < self.high_y_m)
         z = np.where(inside, 0.0, self.outside_m)
         for ramp, end in self.ramps:
@@ -129,7 +129,7 @@ def _slab(rect: Rect, bottom_m: float, top_m: float) -> Box:
 
 
 def _columns(rng: np.random.Generator, one: Storey) -> list[Thing]:
-    """Return columns between the bays, where two rows stand back to back and along the outer walls."""
+    """Return columns between the bays, between back-to-back rows and along the outer walls."""
     every, size = int(rng.integers(2, 4)), rng.uniform(0.3, 0.6)
     round_ones, top = rng.random() < 0.3, one.top_m
     lines = [y + way * (_AISLE_M / 2 + _DEEP_M - 0.45) for y in one.aisles_m for way in (-1, 1)]
@@ -173,7 +173,7 @@ def _ramp_walls(rng: np.random.Generator, one: Storey) -> list[Thing]:
 
 
 def _bays(rng: np.random.Generator, one: Storey) -> list[Thing]:
-    """Return parked cars, wheel stops, low walls between rows that stand back to back."""
+    """Return parked cars, wheel stops, and low walls between rows that stand back to back."""
     things, taken = [], rng.uniform(0.2, 0.9)
     count, stops, walls = int(2 * one.row_m / _BAY_M), rng.random() < 0.4, rng.random() < 0.4
     for number, y in enumerate(one.aisles_m):
@@ -212,7 +212,7 @@ def _overhead(rng: np.random.Generator, one: Storey) -> list[Thing]:
 
 
 def _masts(rng: np.random.Generator, count: int, one: Storey) -> list[Mast]:
-    """Return sensors just below the ceiling at the edges of aisles, their poles from floor to ceiling."""
+    """Return sensors just below the ceiling at the edges of aisles, on poles from floor to ceiling."""
     posts = []
     for k in range(count):
         y, side = pick(rng, one.aisles_m), pick(rng, (-1, 1))

@@ -44,8 +44,8 @@ class Route:
     bend: Bend  # the axis
     median_m: float  # from the axis to the innermost lane
     lanes: int  # each way
-    bank_m: float  # how far the land beside the road lies below (or, negative, above) the shoulder
-    slope_m: float  # how wide the embankment is
+    bank_m: float  # depth of the land beside the road below the shoulder (negative: height above it)
+    slope_m: float  # width of the embankment
 
     @property
     def edge_m(self) -> float:
@@ -117,7 +117,7 @@ def _median(rng: np.random.Generator, route: Route, half_m: float) -> list[Thing
 
 
 def _overhead(rng: np.random.Generator, route: Route) -> list[Thing]:
-    """Return now and then a sign bridge over one carriageway and a road bridge over both."""
+    """Return at random a sign bridge over one carriageway and a road bridge over both."""
     things, span = [], route.edge_m + 0.25
     if rng.random() < 0.5:
         things.append(route.bend.put(gantry(rng, span), rng.uniform(-60, 60), -span - 0.75))
@@ -131,7 +131,7 @@ def _overhead(rng: np.random.Generator, route: Route) -> list[Thing]:
 
 
 def _works(rng: np.random.Generator, route: Route) -> list[Thing]:
-    """Return now and then a van on the shoulder with cones behind it and a barrier."""
+    """Return at random a van on the shoulder with cones behind it and a barrier."""
     if rng.random() > 0.3:
         return []
     x, across = rng.uniform(-50, 50), -(route.edge_m - 1.2)
@@ -141,7 +141,7 @@ def _works(rng: np.random.Generator, route: Route) -> list[Thing]:
 
 
 def _roadside(rng: np.random.Generator, route: Route, half_m: float, side: int, masts: list[Mast]) -> list[Thing]:
-    """Return what lines one side: posts, rails along a part, a sound wall along a part, signs, then woods."""
+    """Return one roadside: posts, rails along a part, a sound wall along a part, signs, then woods."""
     edge, step = route.edge_m, 16.0
     positions = np.arange(-half_m + step / 2, half_m, step)
     things = [
@@ -159,7 +159,7 @@ def _roadside(rng: np.random.Generator, route: Route, half_m: float, side: int, 
 
 
 def _woods(rng: np.random.Generator, route: Route, half_m: float, side: int) -> list[Thing]:
-    """Return trees and bushes in two loose rows beyond the embankment, none where they would meet a bridge."""
+    """Return trees and bushes in two loose rows beyond the embankment, clear of bridges."""
     things, sparse = [], half_m / 110.0
     start = route.edge_m + route.slope_m + 3.0
     for row, share in ((0.0, 0.7), (9.0, 0.4)):

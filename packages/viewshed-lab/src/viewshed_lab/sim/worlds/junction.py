@@ -1,4 +1,4 @@
-"""A junction in town: two streets that cross; one has way, on the other the traffic waits at the stop line."""
+"""A town junction: two crossing streets; one has right of way, the traffic of the other waits at the stop line."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ class Street:
     lanes: int  # each way
     wide_m: float  # width of a lane
     yaw: float  # of its axis: 0 along x, π/2 along y
-    free: bool  # whether it has way
+    free: bool  # whether it has right of way
 
     def lane(self, direction: int, number: int) -> Lane:
-        """Return lane ``number`` from the axis, one way (0) or the other (1); meter 0 is on the other street's axis."""
+        """Return lane ``number`` from the axis in a direction (0 or 1); meter 0 is on the other street's axis."""
         yaw, across = self.yaw + direction * np.pi, (number + 0.5) * self.wide_m
         return straight_lane(float(across * np.sin(yaw)), float(-across * np.cos(yaw)), yaw)
 
@@ -71,7 +71,7 @@ def _side(rng: np.random.Generator, street: Street, direction: int) -> Side:
 
 
 def _lined(rng: np.random.Generator, one: Side, other: Road, second: int, masts: list[Mast]) -> list[Thing]:
-    """Return what stands on one side of a street, left and right of the other street."""
+    """Return the things on one side of a street, left and right of the other street."""
     things, c, s = [], np.cos(one.yaw), np.sin(one.yaw)
     kept = [(c * post.x_m + s * post.y_m - 3.9, c * post.x_m + s * post.y_m + 3.9) for post in masts
             if c * post.y_m - s * post.x_m > 0]  # fmt: skip
@@ -100,7 +100,7 @@ def _masts(rng: np.random.Generator, count: int, streets: Sequence[Street]) -> l
 
 
 def _lights(rng: np.random.Generator, one: Street, other: Street) -> list[Thing]:
-    """Return a signal at the right of either stop line; on wide streets a second one hangs over the lanes."""
+    """Return a traffic light at the right of both stop lines; on wide streets a second one hangs over the lanes."""
     at, reach = other.road.half_m + _CROSSWALK_M - 0.6, 4.5 if one.lanes > 1 and rng.random() < 0.6 else 0.0
     sides = [Side(one.yaw + direction * np.pi, one.road, 0.0, 0.0, 0.0, 0.0, (1.0, 1.0)) for direction in (0, 1)]
     turn = -np.pi / 2
@@ -115,7 +115,7 @@ def _one_way(
     seats: list[list[tuple[Thing, float]]],
     last_s: float,
 ) -> list[Rider]:
-    """Return the traffic of all lanes one way of a street, and the pedestrians on the sidewalk beside it."""
+    """Return the traffic of all lanes in one direction of a street, and the pedestrians on the sidewalk beside it."""
     stop = None if one.free else -(other.road.half_m + _CROSSWALK_M)
     turned, riders = False, list[Rider]()
     for number, mine in enumerate(seats):
@@ -132,15 +132,15 @@ def _one_way(
 def _turning(
     rng: np.random.Generator, drivers: list[Driver], lane: Lane, streets: tuple[Street, Street]
 ) -> tuple[list[Driver], bool]:
-    """Return the drivers, some of those that are still before the junction turning right, and whether any do."""
+    """Let some drivers that are still before the junction turn right; return the drivers, and whether any turns."""
     _, other = streets
     corner = -(other.lanes - 0.5) * other.wide_m
     radius = _turn_radius(streets)
     line = right_turn(lane, corner, radius)
     out, turned = [], False
     for driver in drivers:
-        before = driver.start_m < corner - radius - 4.0 and driver.thing.kind in _TURN
-        if before and rng.random() < 0.3:
+        can_turn = driver.start_m < corner - radius - 4.0 and driver.thing.kind in _TURN
+        if can_turn and rng.random() < 0.3:
             turned = True
             speed, hold = min(driver.speed_mps, rng.uniform(3.5, 5.0)), driver.hold_m - _BEHIND_TURN_M
             out.append(replace(driver, lane=line, speed_mps=speed, hold_m=hold))
@@ -150,7 +150,7 @@ def _turning(
 
 
 def _turn_radius(streets: tuple[Street, Street]) -> float:
-    """Return the largest radius, of 3 to 9 m, of a right turn that keeps a car off the corner of the curbs."""
+    """Return the largest radius, 3 to 9 m, of a right turn that keeps a car clear of the curb's corner."""
     one, other = streets
     radii = np.arange(9.0, 2.9, -0.5)
     dx = radii + (other.lanes - 0.5) * other.wide_m - other.road.half_m
@@ -162,7 +162,7 @@ def _turn_radius(streets: tuple[Street, Street]) -> float:
 def _walkers(
     rng: np.random.Generator, one: Street, other: Street, direction: int, turned: bool, last_s: float
 ) -> list[Rider]:
-    """Return pedestrians on the right-hand sidewalk: they cross the other street if this one has way, or wait."""
+    """Return pedestrians on the right sidewalk; they cross the other street if this one has right of way, else wait."""
     yaw, across = one.yaw + direction * np.pi, one.road.edge_m - 0.5
     start = -other.road.edge_m - 0.6 if turned or not one.free else 45.0
     if not one.free and rng.random() < 0.3:

@@ -1,8 +1,8 @@
-"""Land at random, for learning: heights, roads, edges, decks, roofs and things are drawn without any style.
+"""Random land for training: heights, roads, edges, decks, roofs and things are sampled without any style.
 
-A network that guesses ground which no beam met must not learn what a street or a quay looks like. So every part is
-drawn by itself: noise of several octaves, terraces, a road that is sunken or raised, ditches and berms, platforms and
-pits with upright faces and ramps, water, decks and roofs on posts, walls with openings, stairs, and things anywhere.
+A network that estimates unseen ground must not learn what a street or a quay looks like. So all parts are sampled
+independently: noise of several octaves, terraces, a sunken or raised road, ditches and berms, platforms and pits with
+vertical faces and ramps, water, decks and roofs on posts, walls with openings, stairs, and things anywhere.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from viewshed_lab.sim.worlds.traffic import Pace, driven
 _PACE = Pace(110.0, 50.0, (1.0, 12.0), (6.0, 25.0, 150.0))
 
 _STEP_M = 2.0
-"""Between two lines of the terrain within 76 m; beyond they lie 6 m apart."""
+"""Distance of the terrain's lines within 76 m; beyond, it is 6 m."""
 
 _SOLID, _GLASS = ("concrete", "plaster", "brick", "wood", "metal", "dark_paint"), ("glass", "window", "tinted")
 _SOILS = ("grass", "concrete", "asphalt", "brick", "rubber")
@@ -46,19 +46,19 @@ _THINGS: tuple[Callable[[np.random.Generator], Thing], ...] = (
     lambda rng: hedge(rng, rng.uniform(2.0, 15.0), rng.uniform(0.6, 2.5)),
     lambda rng: town_house(rng, rng.uniform(6.0, 25.0), rng.uniform(6.0, 14.0), plain=True),
 )  # fmt: skip
-"""Any of these may stand anywhere."""
+"""Makers of the things that are scattered over the land."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Noise:
-    """Heights of several octaves, each interpolated between random values on a lattice of its own."""
+    """Heights of several octaves, each interpolated between random values on its own lattice."""
 
     lengths_m: tuple[float, ...]  # side of a lattice's cells
     values_m: tuple[F64, ...]  # (n, n) heights at its nodes
 
     @classmethod
     def drawn(cls, rng: np.random.Generator) -> Noise:
-        """Return noise whose waves of 160 to 5 m are as steep as each other, or the long ones steeper."""
+        """Return noise with wavelengths of 160 to 5 m; all waves are equally steep, or the long ones steeper."""
         lengths = tuple(160.0 * 2.0**-k for k in range(6))
         steep, fade = 0.16 * rng.random() ** 2, rng.uniform(0.35, 1.1)
         values = [
@@ -68,7 +68,7 @@ class Noise:
         return cls(lengths, tuple(values))
 
     def at(self, x: F64, y: F64, octaves: int = 6) -> F64:
-        """Return heights at places of any one shape, of the first octaves alone."""
+        """Return heights at points of equal shape, of the first octaves only."""
         z = np.zeros(np.broadcast(x, y).shape)
         for length, values in zip(self.lengths_m[:octaves], self.values_m, strict=False):
             u, v = ((np.clip(at, -HALF_M, HALF_M) + HALF_M) / length for at in (x, y))
@@ -84,14 +84,14 @@ class Ridge:
     """A ditch or a berm along a line that bends."""
 
     bend: Bend  # the line
-    turned: bool  # whether it runs along y, and not along x
-    beside_m: float  # how far from the axis of the bend it runs
-    rise_m: float  # of its middle; negative for a ditch
+    turned: bool  # whether it runs along y instead of x
+    beside_m: float  # distance from the axis of the bend
+    rise_m: float  # height of its center line; negative for a ditch
     flat_m: float  # half the width of its level middle
-    slope_m: float  # over which it falls to the land
+    slope_m: float  # width of the slopes beside it
 
     def at(self, x: F64, y: F64) -> F64:
-        """Return its heights above the land at places of any one shape."""
+        """Return its heights above the land at points of equal shape."""
         along, across = (y, x) if self.turned else (x, y)
         off = np.abs(across - self.bend.axis(along) - self.beside_m)
         return np.asarray(self.rise_m * np.clip(1.0 - (off - self.flat_m) / self.slope_m, 0.0, 1.0))
@@ -101,15 +101,15 @@ class Ridge:
 class Land:
     """Heights and materials of a land."""
 
-    noise: Noise  # the lie of the land
-    terrace_m: float  # height of its steps; 0 for none
+    noise: Noise  # relief of the land
+    terrace_m: float  # height of terraces; 0 for none
     bend: Bend  # the axis of the road
     half_m: float  # half the width of the road
-    rise_m: float  # of the road above the land around it; negative where it is sunken
+    rise_m: float  # height of the road above the land around it; negative if sunken
     bank_m: float  # width of its banks
     ridges: tuple[Ridge, ...]  # ditches and berms
-    drops: tuple[Drop, ...]  # platforms and pits with upright faces, each at a depth below the land at its middle
-    water_m: float  # level of the water, as deep as which the land is filled; -inf for none
+    drops: tuple[Drop, ...]  # platforms and pits with vertical faces; depths are below the land at their center
+    water_m: float  # level up to which the land is filled with water; -inf for none
     materials: tuple[str, str, str]  # of road, land, banks
 
     @classmethod
@@ -129,8 +129,8 @@ class Land:
         return np.clip(along, -HALF_M, HALF_M), np.abs(across) - self.half_m
 
     def height(self, x: F64, y: F64) -> F64:
-        """Return the ground's z in meters at places of any one shape."""
-        # 1. The lie of the land, in steps where it has terraces, with ditches and berms.
+        """Return the ground's z in meters at points of equal shape."""
+        # 1. The relief of the land, in steps where it has terraces, with ditches and berms.
         land = self.noise.at(x, y)
         if self.terrace_m:
             steps, share = np.divmod(land / self.terrace_m, 1.0)
@@ -138,7 +138,7 @@ class Land:
         for ridge in self.ridges:
             land = land + ridge.at(x, y)
         land = np.where(land < self.water_m, self.water_m, land)
-        # 2. The road follows the long waves alone, raised or sunken; its banks go over into the land.
+        # 2. The road follows only the long waves, raised or sunken; its banks blend into the land.
         along, beyond = self._coordinates(x, y)
         road = self.noise.at(along, self.bend.axis(along), 2) + self.rise_m
         share = np.clip(beyond / self.bank_m, 0.0, 1.0)
@@ -150,7 +150,7 @@ class Land:
         return np.asarray(z)
 
     def material(self, x: F64, y: F64) -> NDArray[np.uint8]:
-        """Return what the ground is made of, rows (…,) of ``MATERIALS``."""
+        """Return the material of the ground, rows (…,) of ``MATERIALS``."""
         _, beyond = self._coordinates(x, y)
         road, land, bank = (material_index(name) for name in self.materials)
         out = np.where(beyond <= 0.0, road, np.where(beyond < self.bank_m, bank, land))
@@ -170,7 +170,7 @@ class Land:
 
 
 def land(rng: np.random.Generator, plan: AgentPlan) -> World:
-    """Return land at random with the agents of ``plan`` on its road."""
+    """Return random land with the agents of ``plan`` on its road."""
     lie = Land.drawn(rng)
     masts, site = beside(rng, plan, lie.bend, lie.half_m + 1.0, lie.half_m)
     site.reserve(*(edge for drop in lie.drops for edge in drop.edges()))
@@ -213,7 +213,7 @@ def _drop(rng: np.random.Generator, bend: Bend, half_m: float) -> Drop:
 def _slab(
     rng: np.random.Generator, lie: Land, kind: str, rect: tuple[float, float, float, float], under_m: float
 ) -> list[Thing]:
-    """Return a slab above the road at x, long and wide as given (x, across, long, wide), on posts beside the road."""
+    """Return a slab (x, across, long, wide) above the road, on posts beside the road."""
     x, across, long, wide = rect
     thick, turn, radius = rng.uniform(0.15, 1.4), rng.uniform(-0.3, 0.3), rng.uniform(0.08, 0.5)
     material = pick(rng, _SOLID)
@@ -239,7 +239,7 @@ def _deck(rng: np.random.Generator, lie: Land) -> list[Thing]:
 
 
 def _roof(rng: np.random.Generator, lie: Land) -> list[Thing]:
-    """Return a roof on posts over the road or beside it, low as a garage's ceiling or high as a hall's."""
+    """Return a roof on posts over or beside the road, as low as a garage's ceiling or as high as a hall's."""
     long, wide = rng.uniform(6.0, 80.0), rng.uniform(6.0, 50.0)
     across = 0.0 if rng.random() < 0.6 else rng.choice((-1.0, 1.0)) * (lie.half_m + 0.6 * wide)
     return _slab(rng, lie, "roof", (rng.uniform(-40.0, 40.0), across, long, wide), 2.1 + 6.0 * rng.random() ** 2)

@@ -1,4 +1,4 @@
-"""How outdoor worlds are laid out and put together: strips that are filled without overlap, agents, the world."""
+"""Layout of outdoor worlds: fill strips without overlap, place agents, assemble the world."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ from viewshed_lab.sim.world import Agent, AgentPlan, Thing, World, tilted
 
 Span = tuple[float, float]
 Rect = tuple[float, float, float, float]
-"""x and y from, x and y to, in meters."""
+"""(x min, y min, x max, y max), meters."""
 
 MOST_MOVING = 40
-"""How many things of a world have tracks, at most."""
+"""Largest number of moving things of a world."""
 
 
 def within(rect: Sequence[float], x: F64, y: F64, by_m: float = 0.0) -> NDArray[np.bool_]:
-    """Return which places lie in a rectangle that is larger by ``by_m`` at each of its sides."""
+    """Return which points lie in a rectangle, enlarged by ``by_m`` on each side."""
     return (x > rect[0] - by_m) & (x < rect[2] + by_m) & (y > rect[1] - by_m) & (y < rect[3] + by_m)
 
 
 def lines_of(lines: list[float], half_m: float, apart_m: float = 0.01) -> F64:
-    """Return the lines of a terrain within ±half_m in ascending order, without those that lie closer to another."""
+    """Return the ascending lines of a terrain within ±half_m, at least ``apart_m`` apart."""
     ordered = np.unique(np.clip(np.array(lines), -half_m, half_m))
     return ordered[np.r_[True, np.diff(ordered) > apart_m]]
 
@@ -38,7 +38,7 @@ def lines_of(lines: list[float], half_m: float, apart_m: float = 0.01) -> F64:
 def spots(
     rng: np.random.Generator, span_m: Span, size_m: float, gap_m: Span, closed: Sequence[Span] = ()
 ) -> list[float]:
-    """Return the middles in meters of pieces of one size along a strip, with random gaps, none over a closed part.
+    """Return the centers in meters of pieces of equal size along a strip, with random gaps, outside closed parts.
 
     >>> spots(np.random.default_rng(0), (0.0, 10.0), 2.0, (0.0, 0.0), [(3.0, 5.0)])
     [1.0, 6.0, 8.0]
@@ -55,7 +55,7 @@ def spots(
 
 
 def plots(rng: np.random.Generator, span_m: Span, length_m: Span, gap_m: float, gap_share: float) -> list[Span]:
-    """Return middle and length in meters of plots along a strip; after some of them, a gap of about ``gap_m``."""
+    """Return center and length in meters of plots along a strip; some are followed by a gap of about ``gap_m``."""
     at, lots = span_m[0], []
     while at < span_m[1] - length_m[0]:
         length = min(rng.uniform(*length_m), span_m[1] - at)
@@ -89,9 +89,9 @@ class Mast:
 
 
 def mast(rng: np.random.Generator, x_m: float, y_m: float, toward_m: Span) -> Mast:
-    """Return a mast of 4 to 8 m at (x, y) that looks toward a point, 1 to 8° down and a little rolled.
+    """Return a mast of 4 to 8 m at (x, y) that looks toward a point, 1 to 8° down, with a small roll.
 
-    The roadside table ends at the horizon: tilted further, such a sensor would be blind beyond 40 m ahead.
+    The roadside beam table ends at the horizon: with a larger tilt, the sensor would be blind beyond 40 m ahead.
     """
     yaw = np.arctan2(toward_m[1] - y_m, toward_m[0] - x_m) + rng.normal(0.0, 0.15)
     pitch, roll = np.deg2rad(rng.uniform(1.0, 8.0)), np.deg2rad(np.clip(rng.normal(0.0, 1.2), -4, 4))
@@ -99,7 +99,7 @@ def mast(rng: np.random.Generator, x_m: float, y_m: float, toward_m: Span) -> Ma
 
 
 def with_masts_of(world: World, height_m: float, pitch: float) -> World:
-    """Return a world whose masts, where they stand, have another height in meters and pitch down in radians, no roll.
+    """Return a world whose masts have another height in meters and pitch down in radians, without roll.
 
     Raises:
         ValueError: its masts are not its last things, as :func:`assembled` leaves them.
@@ -118,7 +118,7 @@ def with_masts_of(world: World, height_m: float, pitch: float) -> World:
 
 
 def carriers(rng: np.random.Generator, plan: AgentPlan, lanes: int) -> list[list[tuple[Thing, float]]]:
-    """Return for each of ``lanes`` lanes the vehicles of the plan's agents in it, dealt out at random."""
+    """Distribute the vehicles of the plan's agents randomly over ``lanes`` lanes."""
     dealt: list[list[tuple[Thing, float]]] = [[] for _ in range(lanes)]
     order = rng.permutation(lanes)
     for k in range(plan.moving):
@@ -127,16 +127,16 @@ def carriers(rng: np.random.Generator, plan: AgentPlan, lanes: int) -> list[list
 
 
 Riders = Sequence[tuple[Thing, float | None]]
-"""Things with tracks, and for agents how far ahead of the middle the sensor sits."""
+"""Things with tracks, and for agents the offset of the sensor ahead of the thing's center."""
 
 
 def assembled(
     name: str, terrain: Terrain, plan: AgentPlan, still: Sequence[Thing], riders: Riders, masts: Sequence[Mast] = (),
     upper: Terrain | None = None,
 ) -> World:  # fmt: skip
-    """Return the world: agents' vehicles are ``vehicle_0`` and on, masts are ``roadside_0`` and on.
+    """Assemble the world; agents are named ``vehicle_0``, … and masts ``roadside_0``, ….
 
-    ``still`` are things that rest. ``upper`` is the ground of the upper level, of a world that has one.
+    ``still`` are static things. ``upper`` is the ground of the upper level, if there is one.
     """
     agents, moving = [], _nearest(riders, masts, plan.duration_s)
     ridden = [(k, ahead) for k, (_, ahead) in enumerate(moving) if ahead is not None]
@@ -150,7 +150,7 @@ def assembled(
 
 
 def _nearest(riders: Riders, masts: Sequence[Mast], duration_s: float) -> Riders:
-    """Return the agents' vehicles and those that come nearest to a sensor, as many as may move."""
+    """Return the agents' vehicles and those that come closest to a sensor, up to the limit of moving things."""
     times = (0.0, duration_s / 2, duration_s)
     positions = np.array([[one.pose_at(t)[:2] for t in times] for one, _ in riders]).reshape(-1, 3, 2)
     ridden = np.array([ahead is not None for _, ahead in riders], bool)

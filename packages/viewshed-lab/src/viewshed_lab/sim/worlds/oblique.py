@@ -60,7 +60,7 @@ def oblique(rng: np.random.Generator, plan: AgentPlan) -> World:
 
 
 def _walkers(rng: np.random.Generator, site: SitePlan, road: Roadway, duration_s: float) -> list[Rider]:
-    """Return people who walk along one side of the lane, and keep their way free."""
+    """Return people who walk along one side of the lane, and keep their path free."""
     side = pick(rng, (-1, 1))
     across = side * (road.edge_m + 0.75)
     back = rng.random() < 0.5
@@ -95,8 +95,8 @@ def _square(rng: np.random.Generator, site: SitePlan, road: Roadway) -> None:
     site.put(road.bend.put(well, x, across))
     for _ in range(int(rng.integers(3, 9))):
         one = pick(rng, (stall(rng)[0], bench(), tree(rng, 2.4, 4.0), person(rng), bush(rng, 1.0)))
-        away = across + rng.uniform(-5.0, 6.0)
-        site.put(road.bend.put(one, x + rng.uniform(-9.0, 9.0), away, rng.uniform(-3, 3)))
+        offset = across + rng.uniform(-5.0, 6.0)
+        site.put(road.bend.put(one, x + rng.uniform(-9.0, 9.0), offset, rng.uniform(-3, 3)))
     x0, y0, _ = road.bend.at(x + 3.0, across)
     site.put_all(group(rng, x0, y0))
 

@@ -22,13 +22,13 @@ _BUMP_HALF_M, _BUMP_M = 1.0, 0.09
 class Relief:
     """A slope with long waves on it."""
 
-    slope: tuple[float, float]  # meters of rise for each meter of x and of y
+    slope: tuple[float, float]  # rise per meter of x and of y
     wave_m: tuple[float, float]  # height of the waves along x and y
     length_m: tuple[float, float]  # length of the waves along x and y
     phase: tuple[float, float]  # of the waves, radians
 
     def at(self, x: F64, y: F64) -> F64:
-        """Return heights in meters at x and y of any one shape."""
+        """Return heights in meters at x and y of equal shape."""
         height = self.slope[0] * x + self.slope[1] * y
         for along, wave, length, phase in zip((x, y), self.wave_m, self.length_m, self.phase, strict=True):
             height = height + wave * np.sin(2 * np.pi * along / length + phase)
@@ -54,11 +54,11 @@ class Road:
 
     @property
     def edge_m(self) -> float:
-        """From the axis to the far edge of the sidewalk, where the lots begin."""
+        """Distance from the axis to the outer edge of the sidewalk, where the lots begin."""
         return self.half_m + self.walk_m
 
     def lines(self) -> list[float]:
-        """Return where, across the road, the ground has its edges."""
+        """Return the positions of the ground's edges across the road."""
         right = [self.half_m, self.half_m + _CURB_WIDTH_M, self.edge_m]
         return [0.0, *right, *(-line for line in right)]
 
@@ -67,15 +67,15 @@ class Road:
 class Ground:
     """Roads along x and y through the origin, sidewalks along them, and lots between."""
 
-    relief: Relief  # the lie of the land
+    relief: Relief  # relief of the land
     along: Road  # the road along x
     across: Road | None = None  # the road along y, or None
-    lot_m: float = 0.0  # how far the lots lie above the sidewalk
-    lot_material: str = "grass"  # what covers them
-    bumps_m: tuple[float, ...] = ()  # where, along x, speed bumps lie across the road
+    lot_m: float = 0.0  # height of the lots above the sidewalk
+    lot_material: str = "grass"  # material of the lots
+    bumps_m: tuple[float, ...] = ()  # x of speed bumps across the road
 
     def terrain(self, half_x_m: float, half_y_m: float, step_m: float = 9.0) -> Terrain:
-        """Return the terrain over ±half_x and ±half_y meters, its plain lines about ``step_m`` apart."""
+        """Return the terrain over ±half_x and ±half_y meters, with lines at most about ``step_m`` apart."""
         bumps = [at + shift for at in self.bumps_m for shift in (-_BUMP_HALF_M, -0.5, 0.5, _BUMP_HALF_M)]
         x_m = _lines(half_x_m, step_m, (self.across.lines() if self.across else []) + bumps)
         y_m = _lines(half_y_m, step_m, self.along.lines())
@@ -99,7 +99,7 @@ class Ground:
         return np.where(beyond > walk, lot, np.where(beyond > 0.0, paving, road)).astype(np.uint8)
 
     def _curb_distance(self, x: F64, y: F64) -> tuple[F64, F64]:
-        """Return how far beyond the nearest curb each place lies (negative on a road), and the sidewalk's width."""
+        """Return the distance of each point beyond the nearest curb (negative on a road), and the sidewalk's width."""
         far = np.full(np.broadcast(x, y).shape, np.inf)
         walk = np.zeros_like(far)
         for road, across in ((self.along, y), (self.across, x)):
@@ -115,7 +115,7 @@ def _crown(road: Road, across: F64) -> F64:
 
 
 def _lines(half_m: float, step_m: float, edges: list[float]) -> F64:
-    """Return ascending lines: the edges, and plain ones where these leave gaps wider than a step."""
+    """Return ascending lines: the edges, and evenly spaced lines in gaps wider than a step."""
     inner = sorted({round(edge, 4) for edge in edges if abs(edge) < half_m - 0.5})
     known = [-half_m, *inner, half_m]
     pieces = [np.linspace(a, b, max(1, round((b - a) / step_m)) + 1)[:-1] for a, b in pairwise(known)]

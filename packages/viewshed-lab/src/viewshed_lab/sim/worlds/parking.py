@@ -42,25 +42,25 @@ class Lot:
     """Measures of a parking lot."""
 
     half_x_m: float  # half the length of the rows
-    rows_m: tuple[float, ...]  # y of the middles of the double rows, from the south
+    rows_m: tuple[float, ...]  # y of the axes of the double rows, from the south
     island_m: float  # width of the strip between the two halves of a row
     aisle_m: float  # width of an aisle
-    taken: float  # share of the bays that are taken
+    taken: float  # share of occupied bays
     curb_m: float  # height of the islands
 
     @property
     def pitch_m(self) -> float:
-        """From one double row to the next."""
+        """Distance from one double row to the next."""
         return 2 * _DEEP_M + self.island_m + self.aisle_m
 
     @property
     def half_y_m(self) -> float:
-        """From the middle to the edge of the asphalt, beyond the outer aisles."""
+        """Distance from the center to the edge of the asphalt, beyond the outer aisles."""
         return self.rows_m[-1] + self.pitch_m / 2 + self.aisle_m / 2
 
     @property
     def aisles_m(self) -> tuple[float, ...]:
-        """The middles of the aisles in y, one more than there are rows."""
+        """Axes of the aisles (y); there is one aisle more than rows."""
         return (self.rows_m[0] - self.pitch_m / 2, *(y + self.pitch_m / 2 for y in self.rows_m))
 
 
@@ -156,7 +156,7 @@ def _roof(lot: Lot, y_m: float) -> list[Thing]:
 
 
 def _market(rng: np.random.Generator, lot: Lot) -> list[Thing]:
-    """Return the market north of the lot with people, bins and at times a kiosk before it."""
+    """Return the market north of the lot with people, bins and sometimes a kiosk before it."""
     y = lot.half_y_m
     long = rng.uniform(0.9, 1.7) * lot.half_x_m
     at = rng.uniform(-0.3, 0.3) * lot.half_x_m
@@ -173,7 +173,7 @@ def _market(rng: np.random.Generator, lot: Lot) -> list[Thing]:
 
 
 def _rim(rng: np.random.Generator, lot: Lot) -> list[Thing]:
-    """Return what bounds the other sides: hedge, fence or wall, then trees, then plain buildings."""
+    """Return the surroundings of the other sides: hedge, fence or wall, then trees, then plain buildings."""
     things: list[Thing] = []
     reach_x, reach_y = lot.half_x_m + _ROAD_M + 1.2, lot.half_y_m + 1.2
     for yaw, out, half in ((np.pi, reach_y, reach_x), (-np.pi / 2, reach_x, reach_y), (np.pi / 2, reach_x, reach_y)):
@@ -194,7 +194,7 @@ def _rim(rng: np.random.Generator, lot: Lot) -> list[Thing]:
 
 
 def _traffic(rng: np.random.Generator, plan: AgentPlan, lot: Lot) -> list[Rider]:
-    """Return the cars in the aisles, which are one-way by turns, and on the roads at either end; and those on foot."""
+    """Return the cars in the aisles, which are one-way in alternating directions, and on the end roads; pedestrians."""
     east, roam = lot.half_x_m + _ROAD_M / 2, lot.half_x_m - 4.0
     ends = [(straight_lane(way * east, 0.0, way * np.pi / 2), lot.half_y_m - 6.0) for way in (1, -1)]
     lanes = [(straight_lane(0.0, y - 1.2 * (-1) ** k, np.pi * (k % 2)), roam) for k, y in enumerate(lot.aisles_m)]
@@ -207,9 +207,9 @@ def _traffic(rng: np.random.Generator, plan: AgentPlan, lot: Lot) -> list[Rider]
 def aisles_driven(
     rng: np.random.Generator, plan: AgentPlan, routes: list[tuple[Lane, float]], gap_m: tuple[float, float, float]
 ) -> list[Rider]:
-    """Return the slow traffic of aisles, each a lane and how far from its middle it goes; nobody leaves them.
+    """Return the slow traffic of aisles, given as lane and reach from its middle; no vehicle leaves them.
 
-    ``gap_m``: smallest gap between two vehicles, and the least and the most that the largest may be.
+    ``gap_m``: smallest gap between two vehicles, and bounds of the largest gap.
     """
     riders: list[Rider] = []
     for seats, (lane, reach) in zip(carriers(rng, plan, len(routes)), routes, strict=True):
@@ -222,7 +222,7 @@ def aisles_driven(
 
 
 def aisle_walkers(rng: np.random.Generator, y_m: float, roam_m: float, end_m: float, duration_s: float) -> list[Rider]:
-    """Return up to three people who walk along x at ``y_m``, all one way, as far as ``end_m``."""
+    """Return up to three people who walk along x at ``y_m`` in one direction, up to ``end_m``."""
     starts = sorted(rng.uniform(-roam_m, roam_m, int(rng.integers(0, 4))).tolist(), reverse=True)
     walk = [Driver(person(rng, walking=True), at, 1.2, end_m) for at in starts]
     return flow(straight_lane(0.0, y_m, pick(rng, (0.0, np.pi))), walk, duration_s)

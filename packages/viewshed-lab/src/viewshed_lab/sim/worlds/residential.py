@@ -43,7 +43,7 @@ def _masts(rng: np.random.Generator, count: int, road: Road) -> list[Mast]:
 
 
 def _lined(rng: np.random.Generator, one: Side, masts: list[Mast], bumps: tuple[float, ...]) -> list[Thing]:
-    """Return what stands along one side: plots, and at the curb cars and furniture clear of drives and masts."""
+    """Return one side of the street: plots, and at the curb cars and furniture clear of driveways and masts."""
     flip, drives, things = np.cos(one.yaw), list[Span](), list[Thing]()
     closed = [(flip * post.x_m - 2.4, flip * post.x_m + 2.4) for post in masts if post.y_m * flip > 0]
     at = -_HALF_X_M
@@ -71,7 +71,7 @@ def _small(rng: np.random.Generator) -> tuple[Thing, float]:
 
 
 def _plot(rng: np.random.Generator, one: Side, span: Span, closed: list[Span]) -> tuple[list[Thing], Span]:
-    """Return what stands on a plot, and the span of its drive: drive and garage at its start, the house beside it."""
+    """Return the things on a plot (driveway and garage at its start, the house beside it), and the driveway's span."""
     blocked = any(a < span[0] + _DRIVE_M + 0.4 and b > span[0] for a, b in closed)
     drive = (span[0] + 0.3, span[0] + 0.3 + _DRIVE_M)
     front = one.road.edge_m + one.setback_m + rng.uniform(-1.0, 2.0)
@@ -116,7 +116,7 @@ def _boundary(rng: np.random.Generator, one: Side, garden: Span) -> list[Thing]:
 
 
 def _garden(rng: np.random.Generator, one: Side, span: Span, front_m: float) -> list[Thing]:
-    """Return trees and bushes before and behind the house, and at times a hedge at the end of the plot."""
+    """Return trees and bushes before and behind the house, and sometimes a hedge at the end of the plot."""
     things, before = [], front_m - one.road.edge_m - 1.2
     for u in spots(rng, span, 2.6, (0.8, 11.0)):
         if before > 2.8:

@@ -1,4 +1,4 @@
-"""What lines roads out of town: posts and rails, trees and fences along them, fields with what stands in those."""
+"""Surroundings of country roads: posts, rails, trees and fences along them, and fields with objects."""
 
 from __future__ import annotations
 
@@ -20,20 +20,20 @@ from viewshed_lab.sim.worlds.site_plan import SitePlan
 from viewshed_lab.sim.worlds.traffic import Pace
 
 COUNTRY_PACE = Pace(110.0, 50.0, (7.0, 22.0), (8.0, 30.0, 130.0))
-"""How roads out of town are driven."""
+"""Traffic parameters of country roads."""
 
 WHOLE: Span = (-HALF_M + 2.0, HALF_M - 2.0)
 
 
 def climb(rng: np.random.Generator, steepest: float) -> Relief:
-    """Return heights along x of a road that climbs by at most ``steepest``, crests and dips counted in."""
+    """Return heights along x of a road with slopes of at most ``steepest``, including crests and dips."""
     grade, wave = rng.uniform(-0.5, 0.5) * steepest, rng.uniform(110.0, 260.0)
     high = rng.uniform(0.1, 0.5) * steepest * wave / (2 * np.pi)
     return Relief((grade, 0.0), (high, 0.0), (wave, 100.0), (rng.uniform(0, 6.28), 0.0))
 
 
 def fields(rng: np.random.Generator, high_m: float, steepest: float = 0.03) -> Relief:
-    """Return the lie of fields beside a road: a gentle slope with waves of at most ``high_m``."""
+    """Return the relief of fields beside a road: a gentle slope with waves of at most ``high_m``."""
     ways = (rng.uniform(-steepest, steepest), rng.uniform(-steepest, steepest))
     waves, lengths = rng.uniform(0.0, high_m, 2), rng.uniform(40.0, 140.0, 2)
     phases = rng.uniform(0, 6.28, 2)
@@ -42,7 +42,7 @@ def fields(rng: np.random.Generator, high_m: float, steepest: float = 0.03) -> R
 
 
 def country_vehicle(rng: np.random.Generator) -> Thing:
-    """Return a vehicle as meets one out of town."""
+    """Return a vehicle of country traffic."""
     draw = rng.random()
     if draw < 0.12:
         return tractor(rng) if draw < 0.05 else motorcycle(rng)

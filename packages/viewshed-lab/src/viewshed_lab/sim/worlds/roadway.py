@@ -1,4 +1,4 @@
-"""Roads that bend and climb: their axis, what lies beside them, the terrain under them, and rows along them."""
+"""Roads that bend and climb: axis, banks, terrain, and rows of things along them."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ HALF_M = 112.0
 _CROWN, _MOST_LINES = 0.02, 46
 
 _ROUGH_FROM_M, _ROUGH_OVER_M = 6.0, 20.0
-"""The land is as even as the bank up to the first distance beyond it, and as rough as it gets after the second."""
+"""Distances beyond the bank at which the roughness of the land begins, and at which it is full."""
 
 
 @dataclass(frozen=True, slots=True)
 class Bend:
     """The axis of a road: a sine along x through the origin."""
 
-    swing_m: float  # how far it swings to either side
-    wave_m: float  # length over which it swings
-    phase: float  # of the swing
+    swing_m: float  # amplitude
+    wave_m: float  # wavelength
+    phase: float  # of the sine
 
     def axis(self, x: F64) -> F64:
         """Return y of the axis in meters."""
@@ -64,9 +64,9 @@ class Bend:
         return Lane(line.xy_m, line.arc_m - line.arc_m[len(x) // 2], line.yaw)
 
     def coordinates(self, x: F64, y: F64) -> tuple[F64, F64]:
-        """Return where along x the nearest point of the axis is, and how far left of it places (…,) lie, in meters.
+        """Return x of the nearest point of the axis, and the distance to its left, of points (…,), meters.
 
-        Two steps of Newton's method from the point beside: exact to a few centimeters within 30 m of gentle bends.
+        Two Newton steps from the point beside: exact to a few centimeters within 30 m of gentle bends.
         """
         along = np.asarray(x, np.float64)
         for _ in range(2):
@@ -77,7 +77,7 @@ class Bend:
 
 
 def random_bend(rng: np.random.Generator, steepest: float, waves_m: Span = (150.0, 420.0)) -> Bend:
-    """Return an axis that turns away from x by at most ``steepest`` radians (about)."""
+    """Return an axis whose heading differs from x by at most about ``steepest`` radians."""
     wave = rng.uniform(*waves_m)
     return Bend(rng.uniform(0.1, 1.0) * steepest * wave / (2 * np.pi), wave, rng.uniform(0, 2 * np.pi))
 
@@ -87,7 +87,7 @@ class Bank:
     """The ground beside a road, from the edge of its shoulder outward."""
 
     beyond_m: tuple[float, ...]  # ascending distances from the edge, the first 0
-    rise_m: tuple[float, ...]  # heights there above the edge; the last one goes on
+    rise_m: tuple[float, ...]  # heights there above the edge; constant beyond the last one
 
     def at(self, beyond: F64) -> F64:
         """Return heights above the edge at distances (…,) beyond it, in meters."""
@@ -100,7 +100,7 @@ LEVEL = (Bank((0.0, 1.0), (0.0, 0.0)),) * 2
 
 @dataclass(frozen=True, slots=True)
 class Swell:
-    """How the height of banks changes along a road: ``mean`` + ``share`` · sin(2π x / ``wave_m`` + ``phase``)."""
+    """Variation of the banks' height along a road: ``mean`` + ``share`` · sin(2π x / ``wave_m`` + ``phase``)."""
 
     mean: float = 1.0
     share: float = 0.0
@@ -129,10 +129,10 @@ class Roadway:
     lane_m: float  # width of a lane
     shoulder_m: float  # from the outermost lane to where the banks begin
     banks: tuple[Bank, Bank]  # on the left and on the right
-    swell: Swell = AS_HIGH  # how the banks' heights change along the road
-    rough: Relief = EVEN  # the lie of the land away from it
-    soil: str = "grass"  # what the banks are made of
-    paved: str = "asphalt"  # what the road is made of
+    swell: Swell = AS_HIGH  # variation of the banks' heights along the road
+    rough: Relief = EVEN  # relief of the land away from it
+    soil: str = "grass"  # material of the banks
+    paved: str = "asphalt"  # material of the road
 
     @property
     def edge_m(self) -> float:
@@ -144,12 +144,12 @@ class Roadway:
         return self.edge_m + self.bank(side).beyond_m[-1]
 
     def lane_lines(self) -> list[Lane]:
-        """Return the lanes: from the innermost outward, one way and back by turns."""
+        """Return the lanes: from the innermost outward, in alternating directions."""
         across = [(k + 0.5) * self.lane_m for k in range(self.lanes)]
         return [self.bend.lane(at if back else -at, back) for at in across for back in (False, True)]
 
     def height(self, x: F64, y: F64) -> F64:
-        """Return the ground's z in meters at places of any one shape."""
+        """Return the ground's z in meters at points of equal shape."""
         along, across = self.bend.coordinates(x, y)
         off = np.abs(across)
         left, right = (bank.at(off - self.edge_m) for bank in self.banks)
@@ -160,7 +160,7 @@ class Roadway:
         return np.asarray(road + bank + free * self.rough.at(x, y))
 
     def material(self, x: F64, y: F64) -> NDArray[np.uint8]:
-        """Return what the ground is made of, rows (…,) of ``MATERIALS``."""
+        """Return the material of the ground, rows (…,) of ``MATERIALS``."""
         _, across = self.bend.coordinates(x, y)
         paved = np.abs(across) < self.edge_m - 0.3
         return np.where(paved, material_index(self.paved), material_index(self.soil)).astype(np.uint8)
@@ -185,7 +185,7 @@ def row(
 ) -> list[Thing]:
     """Return pieces of a rail, fence, hedge or wall that follow a bend, ``maker(length)`` each.
 
-    Pieces lie along x of their own frame and are as long as the line ``across_m`` beside the axis is, less 5 cm.
+    Pieces lie along x of their own frame; they are 5 cm shorter than their part of the line ``across_m`` from the axis.
     """
     count = max(1, round((span_m[1] - span_m[0]) / piece_m))
     edges = np.linspace(*span_m, count + 1)

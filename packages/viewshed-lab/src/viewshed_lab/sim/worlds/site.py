@@ -1,4 +1,4 @@
-"""A building site or an industrial yard: uneven ground, heaps, containers, scaffolds, buildings in the raw, cranes."""
+"""A building site or an industrial yard: uneven ground, heaps, containers, scaffolds, building shells, cranes."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ def site(rng: np.random.Generator, plan: AgentPlan) -> World:
 
 
 def _raw(rng: np.random.Generator, place: SitePlan) -> None:
-    """Put a building in the raw at any angle, with scaffolds before its front."""
+    """Put the shell of a building at any angle, with scaffolds before its front."""
     x, y, yaw = rng.uniform(-65, 65), rng.uniform(-65, 65), rng.uniform(-3.1, 3.1)
     long, deep = rng.uniform(12.0, 30.0), rng.uniform(9.0, 16.0)
     if place.put(place_at(shell(rng, long, deep), x, y, yaw), 2.0) and rng.random() < 0.7:

@@ -1,4 +1,4 @@
-"""An outdoor world under construction: what stands in it so far, at any angle, and where the next thing may stand."""
+"""SitePlan: place things at any angle in an outdoor world without overlap."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ _ROOM = 8192
 
 @dataclass(slots=True)
 class SitePlan:
-    """Things, and the areas that the next thing must not touch."""
+    """The things placed so far, and the areas that further things must not touch."""
 
-    things: list[Thing] = field(default_factory=list)  # what stands in the world
+    things: list[Thing] = field(default_factory=list)  # in the world
     _taken: list[shapely.Polygon] = field(default_factory=list)
     _bounds: F64 = field(default_factory=lambda: np.empty((_ROOM, 4)))
     _open: list[shapely.Polygon] = field(default_factory=list)
@@ -48,16 +48,16 @@ class SitePlan:
         self.reserve(shapely.LineString(np.column_stack([x, bend.axis(x)])).buffer(half_m, cap_style="flat"))
 
     def clear(self, area: shapely.Polygon, gap_m: float = _GAP_M) -> bool:
-        """Return whether nothing reserved or standing lies within ``gap_m`` meters of an area."""
+        """Return whether an area is at least ``gap_m`` meters from all things and reserved areas."""
         x0, y0, x1, y1 = area.bounds
-        # Only areas whose upright rectangles come that near are measured.
+        # Measure only areas whose bounding rectangles are that close.
         bounds = self._bounds[: len(self._taken)]
         near = (bounds[:, 0] < x1 + gap_m) & (bounds[:, 2] > x0 - gap_m)
         near &= (bounds[:, 1] < y1 + gap_m) & (bounds[:, 3] > y0 - gap_m)
         return not any(self._taken[k].distance(area) < gap_m for k in np.flatnonzero(near))
 
     def put(self, thing: Thing, gap_m: float = _GAP_M) -> bool:
-        """Let a thing stand where it is if what of it is not overhead is clear of others, and say so."""
+        """Place a thing where it is if its non-overhead parts are clear of others; return whether it was placed."""
         area = shapely.Polygon(footprint(thing))
         if not self.clear(area, gap_m) or self._blinds(thing):
             return False
@@ -66,19 +66,19 @@ class SitePlan:
         return True
 
     def _blinds(self, thing: Thing) -> bool:
-        """Return whether a tall thing, crown and all, comes too near to a roadside sensor."""
+        """Return whether a tall thing, including its crown, is too close to a roadside sensor."""
         if not self._open or max(part.top_m for part in thing.parts) < _TALL_M:
             return False
-        whole = shapely.Polygon(footprint(thing, below_m=np.inf))
-        return bool(shapely.intersects(whole, np.array(self._open)).any())
+        outline = shapely.Polygon(footprint(thing, below_m=np.inf))
+        return bool(shapely.intersects(outline, np.array(self._open)).any())
 
     def put_all(self, things: list[Thing]) -> None:
-        """Let those things stand that are clear of others, one after the other."""
+        """Place the things that are clear of others, one by one."""
         for thing in things:
             self.put(thing)
 
     def stand(self, *things: Thing) -> None:
-        """Let things stand where they are, whatever else stands there; they may touch each other, not what follows."""
+        """Place things without a check; they may touch others and each other, but later things must not touch them."""
         for thing in things:
             self.things.append(thing)
             self.reserve(shapely.Polygon(footprint(thing)))
@@ -86,7 +86,7 @@ class SitePlan:
     def scatter(
         self, rng: np.random.Generator, things: list[Thing], spread_m: tuple[float, float, float, float]
     ) -> None:
-        """Let things stand anywhere in x from, y from, x to, y to, at any angle; those without room are left out."""
+        """Place things at random poses in (x min, y min, x max, y max); leave out those without room."""
         x0, y0, x1, y1 = spread_m
         for thing in things:
             for u, v, turn in rng.random((4, 3)).tolist():

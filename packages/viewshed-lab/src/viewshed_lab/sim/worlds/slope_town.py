@@ -19,7 +19,7 @@ from viewshed_lab.sim.worlds.traffic import Driver, Pace, Rider, driven, flow
 _PACE = Pace(110.0, 50.0, (3.0, 11.0), (8.0, 30.0, 120.0))
 
 _RUN_M = 13.0
-"""From one terrace to the next."""
+"""Distance from one terrace to the next."""
 
 
 def slope_town(rng: np.random.Generator, plan: AgentPlan) -> World:
@@ -50,7 +50,7 @@ def slope_town(rng: np.random.Generator, plan: AgentPlan) -> World:
 
 
 def _climbing(rng: np.random.Generator) -> Relief:
-    """Return heights along a street that climbs by 5 to 15 %, now steeper, now less."""
+    """Return heights along a street that climbs with a varying slope of 5 to 15 %."""
     grade, wave = pick(rng, (-1, 1)) * rng.uniform(0.05, 0.125), rng.uniform(120.0, 240.0)
     return Relief((grade, 0.0), (rng.uniform(0.0, 0.025) * wave / (2 * np.pi), 0.0), (wave, 100.0),
                   (rng.uniform(0, 6.28), 0.0))  # fmt: skip

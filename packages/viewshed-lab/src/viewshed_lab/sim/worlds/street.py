@@ -86,7 +86,7 @@ def _cyclists(rng: np.random.Generator, plan: AgentPlan, across_m: float) -> lis
 
 
 def _works(rng: np.random.Generator, half_m: float) -> list[Thing]:
-    """Return a construction site where else vehicles would park: barriers around it and cones before it."""
+    """Return a construction site in the parking strip: barriers around it and cones before it."""
     x, y = rng.uniform(-40, 40), half_m - 1.1
     rows = [place_at(work_barrier(), x + dx, y - 0.8) for dx in (-3.4, -1.2, 1.0, 3.2)]
     ends = [place_at(work_barrier(), x + dx, y + 0.35, np.pi / 2) for dx in (-4.8, 4.6)]
@@ -96,7 +96,7 @@ def _works(rng: np.random.Generator, half_m: float) -> list[Thing]:
 def glass_fronts(rng: np.random.Generator, plan: AgentPlan) -> World:
     """Return a street between glass fronts with the agents of ``plan``.
 
-    A street of glass: shops, showrooms and offices whose fronts beams pass, with what stands behind them.
+    A street of glass: shops, showrooms and offices with furnished rooms behind fronts that beams pass.
     """
     return street_of(rng, plan, "glass_fronts", _fronts, 0.02)
 

@@ -1,4 +1,4 @@
-"""Traffic: lanes as lines, vehicles that follow one another along them without touching, and their tracks."""
+"""Traffic: lanes, vehicles that follow one another along them without collisions, and their tracks."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Lane:
     yaw: F64  # (k,) heading at the corners, continuous, radians
 
     def at(self, s_m: F64) -> tuple[F64, F64]:
-        """Return places (n, 2) and headings (n,) at ``s_m`` meters along the line."""
+        """Return positions (n, 2) and headings (n,) at ``s_m`` (n,) meters along the line."""
         x, y = np.interp(s_m, self.arc_m, self.xy_m[:, 0]), np.interp(s_m, self.arc_m, self.xy_m[:, 1])
         return np.column_stack([x, y]), np.interp(s_m, self.arc_m, self.yaw)
 
@@ -75,11 +75,11 @@ class Driver:
     """A vehicle in a lane."""
 
     thing: Thing  # the vehicle, at the origin
-    start_m: float  # where along the lane its middle is at time 0
-    speed_mps: float  # how fast it drives where it may
-    hold_m: float = float("inf")  # where it stops for good; infinite if it leaves
-    lane: Lane | None = None  # its own line if it is not that of the others (it turns off)
-    sensor_ahead_m: float | None = None  # how far ahead of its middle it carries a sensor, or None if it is no agent
+    start_m: float  # position of its center along the lane at time 0
+    speed_mps: float  # free speed
+    hold_m: float = float("inf")  # position at which it stops for good; infinite if it leaves
+    lane: Lane | None = None  # its own lane if it turns off
+    sensor_ahead_m: float | None = None  # offset of its sensor ahead of its center, or None if it is no agent
 
 
 def clock(duration_s: float) -> F64:
@@ -88,18 +88,18 @@ def clock(duration_s: float) -> F64:
 
 
 Rider = tuple[Thing, float | None]
-"""A moving thing, and how far ahead of its middle it carries a sensor if it is an agent."""
+"""A moving thing, and for an agent the offset of its sensor ahead of the thing's center."""
 
 
 def flow(lane: Lane, drivers: Sequence[Driver], duration_s: float) -> list[Rider]:
     """Return the vehicles of one lane with their tracks, in the order of ``drivers`` (leader first).
 
-    Newell's car-following (Transportation Research B 36, 2002): each drives at its own speed, or as the one before it
-    did some time earlier and some distance further back, whichever is less far.
+    Newell's car-following (Transportation Research B 36, 2002): each vehicle drives at its free speed, or repeats the
+    path of its leader with a delay and a distance, whichever is less far.
     """
-    wanted = clock(duration_s)
-    times = np.arange(wanted[0] - _LEAD_S, wanted[-1] + _LEAD_S + _STEP_S / 2, _STEP_S)
-    keep = slice(round(_LEAD_S / _STEP_S), round(_LEAD_S / _STEP_S) + len(wanted))
+    track_s = clock(duration_s)
+    times = np.arange(track_s[0] - _LEAD_S, track_s[-1] + _LEAD_S + _STEP_S / 2, _STEP_S)
+    keep = slice(round(_LEAD_S / _STEP_S), round(_LEAD_S / _STEP_S) + len(track_s))
     ahead, rear_m = np.full(len(times), np.inf), 0.0
     riders: list[Rider] = []
     for driver in drivers:
@@ -108,7 +108,7 @@ def flow(lane: Lane, drivers: Sequence[Driver], duration_s: float) -> list[Rider
         free = np.minimum(driver.start_m + driver.speed_mps * times, driver.hold_m)
         delayed = np.concatenate([np.full(_DELAY_STEPS, ahead[0]), ahead[:-_DELAY_STEPS]])
         path = np.minimum(free, delayed - gap)
-        track = Track(wanted, *(driver.lane or lane).at(_smooth(path)[keep]))
+        track = Track(track_s, *(driver.lane or lane).at(_smooth(path)[keep]))
         stands = float(np.ptp(track.xy_m, axis=0).max()) < 0.02
         thing = place_at(driver.thing, *track.at(0.0)) if stands else drive(driver.thing, track)
         riders.append((thing, driver.sensor_ahead_m))
@@ -118,15 +118,15 @@ def flow(lane: Lane, drivers: Sequence[Driver], duration_s: float) -> list[Rider
 
 @dataclass(frozen=True, slots=True)
 class Stream:
-    """How a lane is filled."""
+    """Parameters of the vehicles of a lane."""
 
-    reach_m: float  # vehicles are put from minus to plus this far along the lane
-    roam_m: float  # its agents stay within minus and plus this
-    speed_mps: float  # of all its vehicles
+    reach_m: float  # vehicles are placed within ± this position along the lane
+    roam_m: float  # agents stay within ± this
+    speed_mps: float  # of all vehicles
     gap_m: tuple[float, float]  # smallest and largest gap between two vehicles
-    stop_m: float | None = None  # stop line at which those before it wait for good, or None
-    clear_m: float = 0.0  # none is put between the stop line and this
-    upstream_m: float = 60.0  # how far before the reach vehicles are put that arrive later
+    stop_m: float | None = None  # stop line at which vehicles before it wait for good, or None
+    clear_m: float = 0.0  # no vehicle is placed between the stop line and this
+    upstream_m: float = 60.0  # distance before the reach in which later vehicles are placed
 
 
 Maker = Callable[[np.random.Generator], Thing]
@@ -135,9 +135,9 @@ Maker = Callable[[np.random.Generator], Thing]
 def filled(
     rng: np.random.Generator, stream: Stream, maker: Maker, carriers: Sequence[tuple[Thing, float]], duration_s: float
 ) -> list[Driver]:
-    """Return the drivers of a lane, leader first: agents around its middle, others made by ``maker`` before and behind.
+    """Return the drivers of a lane, leader first: agents around its middle, others from ``maker`` ahead and behind.
 
-    ``carriers``: vehicle of each agent and how far ahead of its middle the sensor sits.
+    ``carriers``: vehicle of each agent, and the offset of its sensor ahead of the vehicle's center.
     """
     travel = stream.speed_mps * duration_s
     entry = -stream.reach_m - min(travel, stream.upstream_m)
@@ -145,40 +145,38 @@ def filled(
         return _others(rng, stream, maker, (entry, stream.reach_m))
     end = stream.roam_m if stream.stop_m is None else min(stream.roam_m, stream.stop_m - 3.0)
     room = end + stream.roam_m
-    apart = 8.0 + _REACTION_S * stream.speed_mps
-    steps = [min(apart + rng.uniform(0.0, 16.0), room / len(carriers)) for _ in carriers[1:]]
+    min_gap_m = 8.0 + _REACTION_S * stream.speed_mps
+    steps = [min(min_gap_m + rng.uniform(0.0, 16.0), room / len(carriers)) for _ in carriers[1:]]
     lead = rng.uniform(-stream.roam_m + sum(steps), max(end - travel, -stream.roam_m + sum(steps)))
     positions = lead - np.concatenate([[0.0], np.cumsum(steps)])
     agents = [Driver(thing, float(at), stream.speed_mps, end, None, ahead)
               for (thing, ahead), at in zip(carriers, positions, strict=True)]  # fmt: skip
-    before = _others(rng, stream, maker, (lead + apart, stream.reach_m))
-    return [*before, *agents, *_others(rng, stream, maker, (entry, float(positions[-1]) - apart))]
+    ahead_of_agents = _others(rng, stream, maker, (lead + min_gap_m, stream.reach_m))
+    return [*ahead_of_agents, *agents, *_others(rng, stream, maker, (entry, float(positions[-1]) - min_gap_m))]
 
 
 @dataclass(frozen=True, slots=True)
 class Pace:
-    """How the lanes of a road are driven."""
+    """Traffic parameters of the lanes of a road."""
 
-    reach_m: float  # vehicles are put from minus to plus this far along each lane
-    roam_m: float  # agents stay within minus and plus this
+    reach_m: float  # vehicles are placed within ± this position along each lane
+    roam_m: float  # agents stay within ± this
     speed_mps: tuple[float, float]  # slowest and fastest speed
-    # smallest gap between two vehicles, and the least and the most that the largest may be
-    gap_m: tuple[float, float, float]
-    # least and most of their part of the road that agents drive within the plan's duration
-    share: tuple[float, float] = (0.8, 1.5)
+    gap_m: tuple[float, float, float]  # smallest gap between two vehicles, and bounds of the largest gap
+    share: tuple[float, float] = (0.8, 1.5)  # bounds of the share of 2 · ``roam_m`` that agents drive in the duration
 
 
 def driven(rng: np.random.Generator, plan: AgentPlan, lanes: Sequence[Lane], pace: Pace, maker: Maker) -> list[Rider]:
-    """Return the traffic of lanes: the plan's agents dealt out over them, others made by ``maker``.
+    """Return the traffic of lanes: the plan's agents, distributed over the lanes, and others from ``maker``.
 
-    Speeds are such that agents keep driving for most of the time within their part of the road.
+    Speeds are limited so that agents drive most of the time within their part of the road.
     """
     riders: list[Rider] = []
     for lane, seats in zip(lanes, carriers(rng, plan, len(lanes)), strict=True):
-        wanted = rng.uniform(*pace.speed_mps)
-        speed = float(min(wanted, max(2.0, rng.uniform(*pace.share) * 2 * pace.roam_m / plan.duration_s)))
-        least, low, high = pace.gap_m
-        stream = Stream(pace.reach_m, pace.roam_m, speed, (least, rng.uniform(low, high)))
+        free_speed = rng.uniform(*pace.speed_mps)
+        speed = float(min(free_speed, max(2.0, rng.uniform(*pace.share) * 2 * pace.roam_m / plan.duration_s)))
+        min_gap, low, high = pace.gap_m
+        stream = Stream(pace.reach_m, pace.roam_m, speed, (min_gap, rng.uniform(low, high)))
         riders += flow(lane, filled(rng, stream, maker, seats, plan.duration_s), plan.duration_s)
     return riders
 
@@ -201,7 +199,7 @@ def _others(rng: np.random.Generator, stream: Stream, maker: Maker, span_m: tupl
 
 
 def _smooth(path: F64) -> F64:
-    """Return the mean of a path over two seconds, so that nothing stops dead."""
+    """Return the moving average of a path over two seconds, so that vehicles stop smoothly."""
     padded = np.pad(path, _SMOOTH_STEPS, mode="reflect", reflect_type="odd")
     width = 2 * _SMOOTH_STEPS + 1
     total = np.cumsum(np.concatenate([[0.0], padded]))

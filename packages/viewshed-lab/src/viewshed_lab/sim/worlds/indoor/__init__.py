@@ -1,1 +1,1 @@
-"""The worlds inside buildings."""
+"""Worlds inside buildings."""

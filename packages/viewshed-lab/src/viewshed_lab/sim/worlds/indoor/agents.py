@@ -1,4 +1,4 @@
-"""Who moves in a building: robots that measure, people who walk, sensors below the ceiling."""
+"""Agents of a building: robots with sensors, walking people, sensors below the ceiling."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ _LEAD_S, _SENSOR_M = 12.0, (0.3, 1.85)
 
 @dataclass(frozen=True, slots=True)
 class Building:
-    """What the inhabitants must know of a building."""
+    """Parameters of a building for its agents."""
 
     name: str  # kind of world
-    inside: Rect  # the floor that may be driven on, in meters
+    inside: Rect  # drivable floor, in meters
     ceiling_m: float  # height of the ceiling
-    walkers: int  # how many people walk about
-    haunts: tuple[Rect, ...] = ()  # where robots go, in meters; anywhere if empty
+    walkers: int  # number of walking people
+    haunts: tuple[Rect, ...] = ()  # destinations of robots, in meters; anywhere if empty
 
 
 def inhabited(floor_plan: FloorPlan, terrain: Terrain, building: Building, plan: AgentPlan) -> World:
@@ -63,7 +63,7 @@ def inhabited(floor_plan: FloorPlan, terrain: Terrain, building: Building, plan:
 
 
 def _roads(floor_plan: FloorPlan, building: Building, solids: NDArray[np.float64], below_m: float) -> RoadMap:
-    """Return the road map around all solids that begin below a height, over sills and thresholds, off steps."""
+    """Return the road map around all solids that begin below a height; it crosses sills and thresholds, not steps."""
     near = solids[(solids[:, 4] < below_m) & (solids[:, 5] > 0.03), :4]
     near = np.concatenate([near, np.array(floor_plan.steps).reshape(-1, 4)])
     doors = [
@@ -76,7 +76,7 @@ def _roads(floor_plan: FloorPlan, building: Building, solids: NDArray[np.float64
 
 
 def _walkers(rng: np.random.Generator, roads: RoadMap, count: int, duration_s: float) -> tuple[list[Thing], RoadMap]:
-    """Return people who walk to and fro, and the map that keeps clear of them and is still mostly connected."""
+    """Return people who walk to and fro, and the map that stays clear of them and is still mostly connected."""
     every, people = np.ones(len(roads.nodes_m), np.bool_), list[Thing]()
     nodes = roads.largest(every)
     least = 0.6 * len(nodes)
@@ -93,7 +93,7 @@ def _walkers(rng: np.random.Generator, roads: RoadMap, count: int, duration_s: f
 
 
 def _beat(rng: np.random.Generator, roads: RoadMap, nodes: NDArray[np.intp]) -> F64 | None:
-    """Return a way of a few meters between two of some nodes that see each other or have one corner between them."""
+    """Return a path of a few meters between two of the nodes, with at most one corner."""
     start = int(rng.choice(nodes))
     apart = np.hypot(*(roads.nodes_m[nodes] - roads.nodes_m[start]).T)
     goals = nodes[(apart > 2.5) & (apart < 9.0)]
@@ -117,7 +117,7 @@ def _walker(rng: np.random.Generator, beat: F64, duration_s: float) -> Thing:
 
 
 def _territories(roads: RoadMap, haunts: tuple[Rect, ...], count: int) -> list[Network]:
-    """Return one network for each robot: strips of the building half a meter apart, cut along its better axis."""
+    """Return one network per robot: strips of the building half a meter apart, cut along its better axis."""
     best: list[NDArray[np.intp]] = []
     sizes: list[int] = []
     every = roads.largest(np.ones(len(roads.nodes_m), np.bool_))
@@ -149,7 +149,7 @@ def _robot(rng: np.random.Generator, network: Network, haunts: tuple[Rect, ...],
 
 
 def _goal(rng: np.random.Generator, haunts: tuple[Rect, ...], nodes_m: F64, rows: NDArray[np.intp]) -> int:
-    """Return one of some nodes: any of those in the first haunt, in random order, that has one."""
+    """Return a random node in the first haunt, in random order, that has any of the nodes."""
     for k in rng.permutation(len(haunts)).tolist():
         inside = rows[within(haunts[k], *nodes_m[rows].T)]
         if inside.size:
@@ -158,14 +158,14 @@ def _goal(rng: np.random.Generator, haunts: tuple[Rect, ...], nodes_m: F64, rows
 
 
 def _within(haunts: tuple[Rect, ...], nodes_m: F64, rows: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Return those of some nodes that lie in one of the haunts; all if fewer than three do."""
+    """Return the nodes in any of the haunts, or all nodes if there are fewer than three."""
     inside = np.array([within(rect, *nodes_m[rows].T) for rect in haunts]).reshape(-1, len(rows))
     some = rows[inside.any(axis=0)]
     return some if len(some) > 2 else rows
 
 
 def robot_parts(rng: np.random.Generator, sensor_height_m: float) -> tuple[Shape, ...]:
-    """Return the solids of a robot below its sensor: round body, plates on rods, a mast; often an antenna behind.
+    """Return the solids of a robot below its sensor: round body, plates on rods, a mast; often an antenna behind it.
 
     The body ends 0.15 m below the sensor, so that beams down to 35 degrees pass its rim.
     """
@@ -183,7 +183,7 @@ def robot_parts(rng: np.random.Generator, sensor_height_m: float) -> tuple[Shape
 def _hung(
     rng: np.random.Generator, roads: RoadMap, solids: NDArray[np.float64], ceiling_m: float, count: int
 ) -> list[Rigid]:
-    """Return the poses of sensors that hang free, tilted down and apart from each other."""
+    """Return poses of sensors with a free view, tilted down and apart from each other."""
     poses: list[Rigid] = []
     for _ in range(count):
         z = ceiling_m - 0.3 if ceiling_m < 4.5 else rng.uniform(3.4, 4.4)
@@ -196,7 +196,7 @@ def _hung(
 
 
 def _hangs_free(spots: F64, solids: NDArray[np.float64], z_m: float) -> NDArray[np.bool_]:
-    """Return which points have no solid within 0.3 m aside, or below them within 0.4 m, up to the ceiling."""
+    """Return which points have no solid within 0.3 m sideways, from 0.4 m below them up to the ceiling."""
     above = solids[(solids[:, 5] > z_m - 0.4) & (solids[:, 4] < z_m + 0.15)]
     x, y = spots[:, :1], spots[:, 1:]
     near = (x > above[:, 0] - 0.3) & (x < above[:, 2] + 0.3) & (y > above[:, 1] - 0.3) & (y < above[:, 3] + 0.3)

@@ -1,4 +1,4 @@
-"""A building under construction: its floor, what has been placed so far, and where the next thing may stand."""
+"""FloorPlan: place things in a building without overlap; raised floors with ramps."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _ROOM = 4096
 
 @dataclass(frozen=True, slots=True)
 class Doorway:
-    """An opening that one can walk through: its middle in meters, and whether the wall around it runs along x."""
+    """A passable opening: its center in meters, and whether the wall around it runs along x."""
 
     x_m: float
     y_m: float
@@ -31,11 +31,11 @@ class Doorway:
 
 @dataclass(slots=True)
 class FloorPlan:
-    """A building that grows: things, and the rectangles that the next thing must not touch."""
+    """The things placed so far, and the rectangles that further things must not touch."""
 
-    rng: np.random.Generator  # all chance in this building
-    things: list[Thing] = field(default_factory=list)  # what stands, hangs or walks in it
-    doorways: list[Doorway] = field(default_factory=list)  # openings that one can walk through
+    rng: np.random.Generator  # of all random choices in this building
+    things: list[Thing] = field(default_factory=list)  # standing, hanging and walking things
+    doorways: list[Doorway] = field(default_factory=list)  # passable openings
     steps: list[Rect] = field(default_factory=list)  # edges of the floor that a robot cannot cross
     spots: list[tuple[float, float]] = field(default_factory=list)  # points that a robot should be able to reach
     _taken: NDArray[np.float64] = field(default_factory=lambda: np.empty((_ROOM, 4)))
@@ -43,11 +43,11 @@ class FloorPlan:
 
     @property
     def parts(self) -> int:
-        """How many solids there are so far."""
+        """Number of solids so far."""
         return sum(len(one.parts) for one in self.things)
 
     def clear(self, rect: Rect, gap_m: float = _GAP_M) -> bool:
-        """Return whether nothing reserved or standing lies within ``gap_m`` meters of a rectangle."""
+        """Return whether a rectangle is at least ``gap_m`` meters from all things and reserved areas."""
         taken, (x0, y0, x1, y1) = self._taken[: self._count], rect
         separate = (taken[:, 0] >= x1 + gap_m) | (taken[:, 2] <= x0 - gap_m)
         separate |= (taken[:, 1] >= y1 + gap_m) | (taken[:, 3] <= y0 - gap_m)
@@ -60,7 +60,7 @@ class FloorPlan:
             self._count += 1
 
     def add(self, group: Group) -> None:
-        """Let a group stand where it is, part by part; what is overhead does not take floor."""
+        """Place a group where it is; overhead parts do not occupy floor."""
         self.things.extend(group)
         rows = bounds(group)
         rows = rows[rows[:, 4] < _OVERHEAD_M, :4]
@@ -68,7 +68,7 @@ class FloorPlan:
         self._count += len(rows)
 
     def put(self, group: Group, gap_m: float = _GAP_M) -> bool:
-        """Let a group stand where it is if its footprint is clear, and say so."""
+        """Place a group where it is if its footprint is clear; return whether it was placed."""
         rect = footprint(group)
         if not self.clear(rect, gap_m):
             return False
@@ -77,11 +77,11 @@ class FloorPlan:
         return True
 
     def against(self, room: Rect, maker: Maker, sides: tuple[int, ...] = (0, 1, 2, 3), corner: bool = False) -> bool:
-        """Put a group with its back to a wall of a room, and say whether there was a place.
+        """Place a group with its back to a wall of a room; return whether it was placed.
 
         Args:
             room: inner faces of the walls.
-            maker: what to put.
+            maker: makes the group.
             sides: walls to try: 0 at the lowest x, then 1 at the lowest y, 2 at the highest x, 3 at the highest y.
             corner: whether it should stand in a corner.
         """
@@ -96,7 +96,7 @@ class FloorPlan:
         return False
 
     def inside(self, room: Rect, maker: Maker, yaws: tuple[float, ...] = (), gap_m: float = 0.2) -> bool:
-        """Put a group anywhere in a room, at one of ``yaws`` or at any, ``gap_m`` from others; say whether it fits."""
+        """Place a group anywhere in a room at one of ``yaws`` or any yaw, ``gap_m`` from others, if it fits."""
         group = maker(self.rng)
         outline = footprint(group)
         for _ in range(8):
@@ -138,7 +138,7 @@ def shrunk(rect: Rect, margin_m: float) -> Rect:
 
 
 def _at_wall(room: Rect, outline: Rect, side: int, share: float) -> tuple[float, float] | None:
-    """Return where the origin of a group lies whose turned footprint touches a wall, or None if it is too large."""
+    """Return the origin of a group whose rotated footprint touches a wall, or None if it is too large."""
     gap = 1.1 * _GAP_M
     x0, y0 = room[0] + gap - outline[0], room[1] + gap - outline[1]
     x1, y1 = room[2] - gap - outline[2], room[3] - gap - outline[3]
@@ -159,9 +159,9 @@ Heights = Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float6
 class Rise:
     """A raised part of the floor."""
 
-    rect: Rect  # where, in meters
+    rect: Rect  # its area, in meters
     height_m: float  # above the floor around it
-    ramp: Rect  # where the floor rises from 0 at one end to ``height_m`` at the other, within ``rect``
+    ramp: Rect  # area within ``rect`` in which the floor rises from 0 to ``height_m``
     side: int  # end at which the ramp begins: 0 lowest x, 1 lowest y, 2 highest x, 3 highest y; a side of ``rect``
 
     def steps(self) -> list[Rect]:
@@ -205,14 +205,14 @@ def raised_room(rect: Rect, side: int, door_m: tuple[float, float], height_m: fl
 
 
 def lay(floor_plan: FloorPlan, rise: Rise) -> None:
-    """Note a raised floor on a floor plan: its steps, its ramp, and room to turn at both ends of that."""
+    """Add a raised floor to a floor plan: its steps, its ramp, and room to turn at both ends of the ramp."""
     floor_plan.steps += rise.steps()
     floor_plan.spots += rise.path()
     floor_plan.reserve(rise.ramp, *((x - 0.5, y - 0.5, x + 0.5, y + 0.5) for x, y in (rise.path()[0], rise.path()[-1])))
 
 
 def floor(rise: Rise | None, inside: Rect, material: str, outside: str = "asphalt") -> Terrain:
-    """Return the ground of a building: level at 0 but for ``rise``, of ``material`` within ``inside``."""
+    """Return the ground of a building: level at 0 except for ``rise``, of ``material`` within ``inside``."""
     xs, ys = [-_HALF_M, inside[0], inside[2], _HALF_M], [-_HALF_M, inside[1], inside[3], _HALF_M]
     if rise is not None:
         for k, lines in ((0, xs), (1, ys)):

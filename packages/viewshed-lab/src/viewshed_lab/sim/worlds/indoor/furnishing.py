@@ -1,4 +1,4 @@
-"""What belongs in which room, and where in it."""
+"""Furnishing of rooms: furniture by use of the room, and its placement."""
 
 from __future__ import annotations
 
@@ -12,8 +12,7 @@ from viewshed_lab.sim.worlds.indoor.floor_plan import FloorPlan
 from viewshed_lab.sim.worlds.layout import Rect
 
 Wish = tuple[str, Maker, float]
-"""Where (``wall``, ``corner``, ``middle`` or ``anywhere``), what, and how many on average: the share after the whole
-number is a chance."""
+"""Placement (``wall``, ``corner``, ``middle`` or ``anywhere``), maker, and mean number (fractions are chances)."""
 
 FURNISHING: dict[str, tuple[Wish, ...]] = {
     "office": (

@@ -34,7 +34,7 @@ _WISHES = (
 
 
 def hall(rng: np.random.Generator, plan: AgentPlan) -> World:
-    """Return a large hall, as of a station or a fair.
+    """Return a large hall, like that of a station or a fair.
 
     A hall: pillars, rows of seats, stalls, a glass front, a gallery with stairs, and many people.
     """
@@ -120,7 +120,7 @@ def stairs_up(floor_plan: FloorPlan, inside: Rect, side: int, deep: float, level
 
 
 def _beside(inside: Rect, side: int, deep_m: float) -> Rect:
-    """Return the strip of floor in front of a gallery that stairs fill."""
+    """Return the strip of floor that the stairs in front of a gallery occupy."""
     rect = list(inside)
     rect[side] += deep_m + 0.14 if side < 2 else -deep_m - 0.14
     rect[(side + 2) % 4] = rect[side] + (2.5 if side < 2 else -2.5)
@@ -128,7 +128,7 @@ def _beside(inside: Rect, side: int, deep_m: float) -> Rect:
 
 
 def _stage(floor_plan: FloorPlan, inside: Rect) -> Rise | None:
-    """Return a raised part of the floor with a ramp; what stands on it is put there, with a rail of glass."""
+    """Return a raised part of the floor with a ramp; place its furniture and a glass rail."""
     rng = floor_plan.rng
     wide, deep, height = rng.uniform(6.0, 9.0), rng.uniform(4.0, 7.0), rng.uniform(0.12, 0.4)
     for _ in range(8):
@@ -170,7 +170,7 @@ def _seating(floor_plan: FloorPlan, inside: Rect) -> None:
 
 
 def scattered(floor_plan: FloorPlan, inside: Rect, sides: tuple[int, ...]) -> None:
-    """Add what stands about in a hall, free or along the walls ``sides``."""
+    """Add the furniture of a hall, free-standing or along the walls ``sides``."""
     for maker, limit, spot in _WISHES:
         for _ in range(int(floor_plan.rng.integers(0, limit + 1))):
             if spot == "wall":
@@ -180,7 +180,7 @@ def scattered(floor_plan: FloorPlan, inside: Rect, sides: tuple[int, ...]) -> No
 
 
 def _overhead(floor_plan: FloorPlan, inside: Rect, top_m: float) -> None:
-    """Add beams below the ceiling, hanging signs, and what stands outside the glass."""
+    """Add beams below the ceiling, hanging signs, and things outside the glass."""
     for x in np.linspace(inside[0] + 3.0, inside[2] - 3.0, int(floor_plan.rng.integers(3, 7))).tolist():
         beam = Box(x, 0.0, 0.3, inside[3] - inside[1], top_m, top_m - 0.5, 0.0, "concrete")
         floor_plan.things.append(Thing("beam", (beam,), z_m=0.0))
@@ -271,7 +271,7 @@ def _balustrade(rng: np.random.Generator, well: Rect) -> list[Thing]:
 
 
 def _down_there(rng: np.random.Generator, well: Rect) -> Group:
-    """Return what stands on the lower level: it is seen from above only."""
+    """Return the things on the lower level, which is visible from above only."""
     things: list[Thing] = []
     middle = ((well[0] + well[2]) / 2, (well[1] + well[3]) / 2)
     for k in range(int(rng.integers(1, 5))):

@@ -1,4 +1,4 @@
-"""A loft: walls at any angle, columns, low ceilings and low beams, at times the slant of a roof."""
+"""A loft: walls at any angle, columns, low ceilings and low beams, sometimes the slant of a roof."""
 
 from __future__ import annotations
 
@@ -36,8 +36,8 @@ def loft(rng: np.random.Generator, plan: AgentPlan) -> World:
     for _ in range(int(rng.integers(6, 15))):
         _slanted(floor_plan, inside, top)
     _columns(floor_plan, inside, top)
-    for maker, most in _PIECES:
-        for _ in range(int(rng.integers(most // 2, most + 1))):
+    for maker, max_count in _PIECES:
+        for _ in range(int(rng.integers(max_count // 2, max_count + 1))):
             if maker in (furniture.shelf, furniture.sofa, furniture.desk, furniture.bench) and rng.random() < 0.5:
                 floor_plan.against(inside, maker)
             else:
@@ -69,7 +69,7 @@ def _roof(floor_plan: FloorPlan, inside: Rect, top_m: float, slanted: bool) -> N
 
 
 def _slanted(floor_plan: FloorPlan, inside: Rect, top_m: float) -> None:
-    """Add a wall at any angle, of plaster, brick, glass or half height, in short pieces, where it finds room."""
+    """Add a wall at any angle, of plaster, brick, glass or half height, in short pieces, where there is room."""
     rng = floor_plan.rng
     for _ in range(6):
         x, y = rng.uniform(inside[0] + 2.5, inside[2] - 2.5), rng.uniform(inside[1] + 2.5, inside[3] - 2.5)
@@ -92,7 +92,7 @@ def _slanted(floor_plan: FloorPlan, inside: Rect, top_m: float) -> None:
 
 
 def _columns(floor_plan: FloorPlan, inside: Rect, top_m: float) -> None:
-    """Add columns on a grid that is turned against the walls."""
+    """Add columns on a grid that is rotated relative to the walls."""
     rng = floor_plan.rng
     pitch, turn = rng.uniform(4.0, 7.0), rng.uniform(0, np.pi / 2)
     size, rounded = rng.uniform(0.2, 0.45), rng.random() < 0.4

@@ -13,7 +13,7 @@ from viewshed_lab.sim.worlds.indoor.furnishing import furnish, furnish_all
 from viewshed_lab.sim.worlds.indoor.walls import DOORS, Opening, Wall, around, build, ceiling
 from viewshed_lab.sim.worlds.layout import Rect
 
-_LEAST_M, _DOOR_M = 3.0, 1.6
+_MIN_SIDE_M, _DOOR_M = 3.0, 1.6
 _OFFICES = ("office", "meeting", "office", "office", "lounge", "office")
 _HOMES = ("living", "bedroom", "kitchen", "study", "bedroom")
 _SMALL = ("bathroom", "store", "office")
@@ -21,7 +21,7 @@ _SMALL = ("bathroom", "store", "office")
 
 @dataclass(frozen=True, slots=True)
 class Shared:
-    """A stretch of a cut between two rooms, long enough for a door."""
+    """A part of a cut between two rooms, long enough for a door."""
 
     cut: int
     low: int
@@ -54,7 +54,7 @@ def rooms(rng: np.random.Generator, plan: AgentPlan) -> World:
 
 
 def _uses(rng: np.random.Generator, spaces: list[Rect]) -> list[str]:
-    """Return what each room is for, by its size and the house: offices, or apartments with each kind in turn."""
+    """Return the use of each room, by its size and the house: offices, or apartments with each use in turn."""
     turns = _OFFICES if rng.random() < 0.5 else _HOMES
     first, uses = int(rng.integers(len(turns))), []
     for k, (x0, y0, x1, y1) in enumerate(spaces):
@@ -64,7 +64,7 @@ def _uses(rng: np.random.Generator, spaces: list[Rect]) -> list[str]:
 
 
 def _layout(rng: np.random.Generator, inside: Rect, hub_m: tuple[float, float]) -> tuple[list[Rect], list[Wall]]:
-    """Return rooms, the hallway first, and the cuts between them; the farther from the hub, the larger they are."""
+    """Return rooms, the hallway first, and the cuts between them; rooms farther from the hub are larger."""
     x0, y0, x1, y1 = inside
     wide, at = rng.uniform(1.7, 2.4), rng.uniform(0.4, 0.6)
     low = y0 + at * (y1 - y0) - wide / 2
@@ -79,24 +79,24 @@ def _layout(rng: np.random.Generator, inside: Rect, hub_m: tuple[float, float]) 
     return spaces, cuts
 
 
-def _split(rng: np.random.Generator, rect: Rect, least_m2: float, cuts: list[Wall]) -> list[Rect]:
+def _split(rng: np.random.Generator, rect: Rect, min_m2: float, cuts: list[Wall]) -> list[Rect]:
     """Return both halves of a rectangle that is cut across its longer side, or nothing if it is small enough."""
     x0, y0, x1, y1 = rect
     wide, deep = x1 - x0, y1 - y0
-    if wide * deep < least_m2 or max(wide, deep) < 2 * _LEAST_M:
+    if wide * deep < min_m2 or max(wide, deep) < 2 * _MIN_SIDE_M:
         return []
     share = rng.uniform(0.32, 0.68)
     if wide > deep:
-        at = float(np.clip(x0 + share * wide, x0 + _LEAST_M, x1 - _LEAST_M))
+        at = float(np.clip(x0 + share * wide, x0 + _MIN_SIDE_M, x1 - _MIN_SIDE_M))
         cuts.append(Wall(False, at, y0, y1))
         return [(x0, y0, at, y1), (at, y0, x1, y1)]
-    at = float(np.clip(y0 + share * deep, y0 + _LEAST_M, y1 - _LEAST_M))
+    at = float(np.clip(y0 + share * deep, y0 + _MIN_SIDE_M, y1 - _MIN_SIDE_M))
     cuts.append(Wall(True, at, x0, x1))
     return [(x0, y0, x1, at), (x0, at, x1, y1)]
 
 
 def _stretches(spaces: list[Rect], cuts: list[Wall]) -> list[Shared]:
-    """Return every stretch of a cut that two rooms share and that a door fits in."""
+    """Return every part of a cut that two rooms share and that a door fits in."""
     shared = []
     for k, cut in enumerate(cuts):
         across, along = (1, 0) if cut.along_x else (0, 1)
@@ -111,7 +111,7 @@ def _stretches(spaces: list[Rect], cuts: list[Wall]) -> list[Shared]:
 
 
 def _doors(rng: np.random.Generator, stretches: list[Shared]) -> list[tuple[Shared, Opening]]:
-    """Return a door on each stretch of a random tree over all rooms (Kruskal), hallway first, and some more."""
+    """Return the doors of a random spanning tree over all rooms (Kruskal), hallway first, and some more."""
     cost = rng.random(len(stretches)) - np.array([0.8 * (one.low == 0 or one.high == 0) for one in stretches])
     part = list(range(1 + max(max(one.low, one.high) for one in stretches)))
     doors = []

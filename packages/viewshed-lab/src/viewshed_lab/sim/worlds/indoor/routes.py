@@ -1,4 +1,4 @@
-"""Ways through a building: free floor on a fine lattice, a map of straight lines over it, tracks along them."""
+"""Routes through a building: free floor on a fine lattice, a road map of straight lines over it, tracks along them."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ _CELL_M, _BIN_M, _REACH_M = 0.1, 1.8, 3.8
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FreeFloor:
-    """Where the middle of a robot may be."""
+    """Floor on which the center of a robot may be."""
 
     low_m: F64  # (2,) lowest x and y of the lattice
-    free: NDArray[np.bool_]  # (nx, ny) whether a cell of 0.1 m is far enough from everything
+    free: NDArray[np.bool_]  # (nx, ny) whether a cell of 0.1 m is far enough from all obstacles
 
     def at(self, xy_m: F64) -> NDArray[np.bool_]:
-        """Return for points (..., 2) within the lattice whether they are free."""
+        """Return which points (..., 2) within the lattice are free."""
         cells = ((xy_m - self.low_m) / _CELL_M).astype(np.int32)
         return np.asarray(self.free[cells[..., 0], cells[..., 1]])
 
     def sees(self, start_m: F64, stop_m: F64) -> NDArray[np.bool_]:
-        """Return for k pairs of points (k, 2) whether the straight line between them is free."""
+        """Return for which of k pairs of points (k, 2) the straight line between them is free."""
         if not len(start_m):
             return np.zeros(0, np.bool_)
         longest = float(np.abs(stop_m - start_m).max())
@@ -56,7 +56,7 @@ def open_floor(rect: Rect) -> FreeFloor:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RoadMap:
-    """F64 on the free floor and the straight lines between them."""
+    """Nodes on the free floor, and the straight lines between them."""
 
     floor: FreeFloor  # what is free
     nodes_m: F64  # (n, 2)
@@ -64,7 +64,7 @@ class RoadMap:
 
     @classmethod
     def over(cls, floor: FreeFloor, rng: np.random.Generator, wanted_m: F64) -> RoadMap:
-        """Return a road map with one node in each bin of 1.8 m, if a random point in it is free, and those wanted."""
+        """Return a road map with one node per bin of 1.8 m, if a random point in it is free, and the given nodes."""
         size = np.array(floor.free.shape) * _CELL_M
         bins = np.ceil(size / _BIN_M).astype(int)
         corner = np.stack(np.meshgrid(*map(np.arange, bins), indexing="ij"), axis=-1).reshape(-1, 2)
@@ -74,13 +74,13 @@ class RoadMap:
         first = inside[ok.argmax(axis=0), np.arange(len(corner))][ok.any(axis=0)]
         wanted_m = wanted_m[((wanted_m > floor.low_m) & (wanted_m < floor.low_m + size - _CELL_M)).all(axis=1)]
         nodes = np.concatenate([first, wanted_m[floor.at(wanted_m)]])
-        apart = np.abs(nodes[:, None, :] - nodes[None, :, :])
-        i, j = np.nonzero(np.triu((apart < _REACH_M).all(axis=2), 1))
+        distance_m = np.abs(nodes[:, None, :] - nodes[None, :, :])
+        i, j = np.nonzero(np.triu((distance_m < _REACH_M).all(axis=2), 1))
         seen = floor.sees(nodes[i], nodes[j])
         return cls(floor, nodes, np.column_stack([i[seen], j[seen]]))
 
     def off(self, way_m: F64, reach_m: float) -> RoadMap:
-        """Return what is left of the map farther than ``reach_m`` from a way (k, 2): the same nodes, fewer edges."""
+        """Return the map without edges within ``reach_m`` of a path (k, 2); the nodes are the same."""
         steps = int(np.abs(np.diff(way_m, axis=0)).max() / (2 * _CELL_M)) + 2
         share = np.linspace(0.0, 1.0, steps)[:, None, None]
         spots = (way_m[None, :-1] * (1 - share) + way_m[None, 1:] * share).reshape(-1, 2)
@@ -108,7 +108,7 @@ class RoadMap:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Network:
-    """The part of a road map that one robot keeps to."""
+    """The part of a road map that one robot uses."""
 
     roads: RoadMap
     rows: NDArray[np.bool_]
@@ -122,16 +122,16 @@ class Network:
         return cls(roads, rows, roads.matrix(rows))
 
     def path(self, start: int, goal: int) -> F64:
-        """Return the corners (k, 2) of a short way between two connected nodes, both ends included."""
-        _, before = dijkstra(self.lengths, directed=False, indices=goal, return_predecessors=True)
+        """Return the corners (k, 2) of a short path between two connected nodes, including both ends."""
+        _, predecessors = dijkstra(self.lengths, directed=False, indices=goal, return_predecessors=True)
         path = [start]
         while path[-1] != goal:
-            path.append(int(before[path[-1]]))
+            path.append(int(predecessors[path[-1]]))
         return _straightened(self.roads.floor, self.roads.nodes_m[path])
 
 
 def _straightened(floor: FreeFloor, path: F64) -> F64:
-    """Return the way without corners that can be cut: from each corner on to the farthest that it sees."""
+    """Return the path without needless corners: from each corner directly to the farthest one in free line."""
     kept = [0]
     while kept[-1] < len(path) - 1:
         ahead = path[kept[-1] + 1 :]
@@ -141,14 +141,14 @@ def _straightened(floor: FreeFloor, path: F64) -> F64:
 
 
 def drive_route(path: F64, speed_mps: float, turn_rate: float, start_s: float, pause_s: ArrayLike = ()) -> Track:
-    """Return the track along corners (k, 2): straight at one speed, turning in place at ``turn_rate`` radians a second.
+    """Return the track along corners (k, 2): straight at constant speed, turning in place at ``turn_rate``.
 
     Args:
         path: corners, no two in a row the same.
-        speed_mps: meters a second.
-        turn_rate: radians a second.
-        start_s: when it leaves the first corner.
-        pause_s: seconds to stand at each corner, before turning; none if left out.
+        speed_mps: meters per second.
+        turn_rate: radians per second.
+        start_s: departure from the first corner.
+        pause_s: seconds to stand at each corner, before turning; empty for no pauses.
     """
     if len(path) < 2:
         return Track(np.array([start_s]), path[:1], np.zeros(1))

@@ -46,7 +46,7 @@ def tunnel(rng: np.random.Generator, plan: AgentPlan) -> World:
 
 
 def _passages(rng: np.random.Generator) -> list[Rect]:
-    """Return passages as rectangles: a long one in straight runs that step aside, branches, niches and chambers."""
+    """Return passages as rectangles: a long one in straight, offset runs, branches, niches and chambers."""
     passages: list[Rect] = []
     x, y, wide = -_HALF_M + 1.0, rng.uniform(-8.0, 8.0), rng.uniform(1.8, 4.5)
     while x < _HALF_M - 7.0:
@@ -64,7 +64,7 @@ def _passages(rng: np.random.Generator) -> list[Rect]:
     for a, b, c, d in list(passages):
         if c - a < 6.0:
             continue
-        for _ in range(int(rng.integers(0, 3))):  # branches that end blind or meet another
+        for _ in range(int(rng.integers(0, 3))):  # branches that are dead ends or join another passage
             at, broad, far = rng.uniform(a + 1.5, c - 1.5), rng.uniform(1.6, 3.2), rng.uniform(4.0, 15.0)
             up = rng.random() < 0.5
             low, high = (b, min(d + far, 19.0)) if up else (max(b - far, -19.0), d)
@@ -83,7 +83,7 @@ def _passages(rng: np.random.Generator) -> list[Rect]:
 
 
 def _rock(inside: Rect, passages: list[Rect], top_m: float, material: str) -> tuple[Thing, ...]:
-    """Return the solid around passages as boxes: strips between the edges of all in x, cut where a passage lies."""
+    """Return the solid around passages as boxes: strips between the x edges of all passages, cut at each passage."""
     x0, y0, x1, y1 = inside
     lines = sorted({x0, x1, *(min(max(edge, x0), x1) for one in passages for edge in one[::2])})
     open_strips: list[tuple[Rect, ...]] = []

@@ -1,4 +1,4 @@
-"""Walls with thickness, and what is in them: doors with frame, lintel and leaf, windows, panes and niches."""
+"""Walls with thickness, and their openings: doors with frame, lintel and leaf, windows, panes and niches."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ _PANE_M = 0.02
 class Opening:
     """A gap in a wall."""
 
-    middle_m: float  # where along the wall, in the world's x or y
+    middle_m: float  # center along the wall, in the world's x or y
     width_m: float  # between the ends of the wall on both sides
     # one of ``DOORS``, ``window``, ``pane`` for glass from the floor up, ``gate`` for a wide gap, or ``roller`` for one
     # that is shut
     kind: str = "open"
-    top_m: float = 2.4  # its upper edge, but for doors
+    top_m: float = 2.4  # its upper edge, except for doors
     swing: int = 0  # side to which a door opens: 1 the higher x or y, -1 the lower, 0 either
 
 
@@ -40,7 +40,7 @@ class Wall:
     """A straight wall along x or y."""
 
     along_x: bool  # whether it runs along x
-    at_m: float  # y of its middle if it runs along x, else x
+    at_m: float  # y of its center plane if it runs along x, else x
     start_m: float  # lower end along itself
     stop_m: float  # upper end
     thick_m: float = 0.12  # thickness
@@ -55,7 +55,7 @@ class Wall:
         return Box(self.at_m, middle, thick_m, length, z_m[1], z_m[0], 0.0, material)
 
     def rect(self, opening: Opening, reach_m: float) -> Rect:
-        """Return the rectangle of an opening that reaches so far to both sides of the wall, in meters."""
+        """Return the rectangle of an opening, extended to both sides of the wall, in meters."""
         u, half = opening.middle_m, opening.width_m / 2
         if self.along_x:
             return u - half, self.at_m - reach_m, u + half, self.at_m + reach_m
@@ -115,15 +115,15 @@ def build(floor_plan: FloorPlan, walls: Iterable[Wall], top_m: float) -> None:
 
 
 def _hang(floor_plan: FloorPlan, wall: Wall, one: Opening, others: NDArray[np.float64]) -> bool:
-    """Hang the leaf of a door so that it stands in no other doorway and hits no other leaf or wall, if that can be."""
+    """Hang the leaf of a door so that it blocks no other doorway and touches no other leaf or wall, if possible."""
     angle = {"open": floor_plan.rng.uniform(1.5, 1.9), "ajar": floor_plan.rng.uniform(0.25, 1.1), "shut": 0.0}[one.kind]
     for path in floor_plan.rng.permutation(4).tolist():
         if one.swing == (-1 if path % 2 else 1):
             continue
         leaf = _leaf(wall, one, angle, path)
         x0, y0, x1, y1 = footprint(leaf)
-        apart = (others[:, 0] >= x1) | (others[:, 2] <= x0) | (others[:, 1] >= y1) | (others[:, 3] <= y0)
-        if apart.all() and floor_plan.clear((x0, y0, x1, y1)):
+        disjoint = (others[:, 0] >= x1) | (others[:, 2] <= x0) | (others[:, 1] >= y1) | (others[:, 3] <= y0)
+        if disjoint.all() and floor_plan.clear((x0, y0, x1, y1)):
             floor_plan.add(leaf)
             return True
     return False
