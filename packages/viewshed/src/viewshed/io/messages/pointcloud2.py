@@ -8,7 +8,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from viewshed.io._rings import matched_azimuth, matched_time_s, rings_by_elevation, whole_rings
+from viewshed.io._rings import matched_azimuth, matched_time_s, rings_by_elevation, valid_rings
 from viewshed.sweep import MAX_POINTS, Sweep
 
 _KINDS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
@@ -132,7 +132,7 @@ def _ring(laser: NDArray[Any] | None, points: NDArray[np.float32]) -> NDArray[np
     """Return the ring (N,), 0 the lowest, of a field that counts beams in any order; None where it counts none."""
     if laser is None:
         return None
-    number = whole_rings(laser)
+    number = valid_rings(laser)
     if number is None:
         return None
     if number.size == 0:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from viewshed.io._input import errors_named
+from viewshed.io._input import errors_with_path
 from viewshed.recordings.read import argoverse2, bag_files, carla, kitti, nuscenes, opv2v, rosbag
 from viewshed.recordings.read.source import SourceKind, SweepSource
 
@@ -48,7 +48,7 @@ def open_source(place: str | os.PathLike[str], kind: str = "auto", *, topic: str
     if not path.exists():
         problem = "its links lead in a circle" if path.is_symlink() else "no such file or folder"
         raise FileNotFoundError(f"{path}: {problem}")
-    with errors_named(path, path.parent):
+    with errors_with_path(path, path.parent):
         if topic is not None:
             if not SOURCES["bag"].fits(path):
                 raise ValueError(f"{path}: topic goes with a bag, got {topic!r}; leave it out")

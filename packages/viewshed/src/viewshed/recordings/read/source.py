@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from viewshed.geometry import Rigid
-from viewshed.io._input import errors_named, one_line
+from viewshed.io._input import errors_with_path, one_line
 from viewshed.sweep import Sweep
 
 _A = TypeVar("_A")
@@ -139,13 +139,13 @@ class RecordingSource(ABC):
     def read(self, ref: SweepRef) -> Sweep:
         """Return a sweep; errors as :meth:`SweepSource.read`."""
         self._check(ref)
-        with errors_named(ref.file, self.place.parent):
+        with errors_with_path(ref.file, self.place.parent):
             return self._read(ref)
 
     def boxes(self, ref: SweepRef) -> tuple[ObjectBox, ...] | None:
         """Return the annotated objects at the time of a sweep; errors as :meth:`SweepSource.boxes`."""
         self._check(ref)
-        with errors_named(ref.file, self.place.parent):
+        with errors_with_path(ref.file, self.place.parent):
             return self._boxes(ref)
 
     def damage(self) -> tuple[str, ...]:
