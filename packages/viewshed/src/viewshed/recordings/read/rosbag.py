@@ -21,7 +21,7 @@ from viewshed.io._input import one_line
 from viewshed.io.messages.hesai import PANDAR, sweep_of_hesai
 from viewshed.io.messages.laserscan import sweep_of_scan
 from viewshed.io.messages.livox import sweep_of_livox
-from viewshed.io.messages.packets import UNREAD, sweep_of_ouster, sweep_of_velodyne
+from viewshed.io.messages.packets import UNSUPPORTED, sweep_of_ouster, sweep_of_velodyne
 from viewshed.io.messages.pointcloud2 import sweep_of_cloud
 from viewshed.io.ouster_packets import OusterDecoder, OusterMetadata
 from viewshed.recordings.read.bag_files import BagFile, Message, bags_in, open_bag
@@ -297,8 +297,8 @@ def _note_topics(types: dict[str, str], contents: _Contents, damage: list[str], 
     contents.clouds = [cloud for cloud in contents.clouds if cloud.kind in preferred]
     with_clouds = {cloud.topic for cloud in contents.clouds}
     for topic, kind in sorted(types.items()):
-        if kind in UNREAD:
-            line = f"topic {topic} has {UNREAD[kind]} ({kind}), which are not read; record PointCloud2"
+        if kind in UNSUPPORTED:
+            line = f"topic {topic} has {UNSUPPORTED[kind]} ({kind}), which are not read; record PointCloud2"
             note_damage(contents.notes if with_clouds else damage, line)
         elif kind == CLOUD and topic not in with_clouds:
             note_damage(contents.notes if with_clouds else damage, f"topic {topic} has no cloud")
