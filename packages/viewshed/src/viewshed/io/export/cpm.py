@@ -177,7 +177,7 @@ def _fans_at_deepest_points(mask: Mask, grid: BevGrid, sectors: int, whole_cells
 
 
 def _apex(part: Mask, grid: BevGrid, distance_m: float, whole_cells: bool) -> tuple[tuple[float, float], float]:
-    """Return the apex that sees most of ``part`` (eight candidates around the sensor, and the deepest point), and a score."""
+    """Return the apex that sees most of ``part``, of eight around the sensor and the deepest point, and its score."""
     angles = np.arange(8) * (np.pi / 4)
     ring = np.stack([np.cos(angles), np.sin(angles)], axis=1) * distance_m
     points = [_rounded_cm(point) for point in (*ring, deepest_point(part, grid)) if np.abs(point + 10.4).max() < 20.4]
@@ -251,7 +251,7 @@ def _total_area(pieces: list[Polygon]) -> float:
 
 
 def _islands(mask: Mask, grid: BevGrid, price_m2: float, whole_cells: bool) -> list[Polygon]:
-    """Return star polygons, each at the deepest uncovered point, as long as their area exceeds the price of vertices."""
+    """Return star polygons, each at the deepest uncovered point, while their area exceeds their price of vertices."""
     uncovered, pieces = mask.copy(), list[Polygon]()
     for _ in range(_MAX_ISLANDS):
         apex = _rounded_cm(deepest_point(uncovered, grid))

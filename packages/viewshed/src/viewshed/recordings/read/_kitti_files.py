@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from viewshed.geometry import Rigid
 from viewshed.io._input import inside, open_input
-from viewshed.recordings.read.source import note_damage, numbers_in, problems_of
+from viewshed.recordings.read.source import error_prefix, note_damage, numbers_in
 
 EARTH_RADIUS_M = 6378137.0
 """Radius that KITTI's development kit uses."""
@@ -42,7 +42,7 @@ def named_texts(root: Path, path: Path) -> dict[str, str]:
 def rigid_of_line(text: str, where: str) -> Rigid:
     """Return the transform of a line of 12 numbers, the first three rows of its matrix."""
     matrix = numbers_of(text, 12, where).reshape(3, 4)
-    with problems_of(where):
+    with error_prefix(where):
         return Rigid(matrix[:, :3], matrix[:, 3])
 
 
@@ -128,7 +128,7 @@ def inertial_track(root: Path, drive: Path) -> PoseTrack:
     rotation = numbers_of(texts.get("R", ""), 9, f"{calibration}, R").reshape(3, 3)
     translation = numbers_of(texts.get("T", ""), 3, f"{calibration}, T")
     folder = drive / "oxts" / "data"
-    with problems_of(str(calibration)):
+    with error_prefix(str(calibration)):
         imu_from_velodyne = Rigid(rotation, translation).inverse()
     return partial(_pose_by_imu, root, folder, _first_readable(root, folder), imu_from_velodyne)
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from viewshed.geometry import Rigid
 from viewshed.io._input import inside, open_input
 from viewshed.io._json import json_rows
-from viewshed.recordings.read.source import SweepRef, note_damage, problems_of
+from viewshed.recordings.read.source import SweepRef, error_prefix, note_damage
 
 CHANNEL = "LIDAR_TOP"
 """The sensor whose sweeps are read."""
@@ -66,7 +66,7 @@ class PoseTable:
         row = self.rows.get(token)
         if row is None:
             raise ValueError(f"{self.place} has no row {token!r}")
-        with problems_of(f"{self.place}, row {token!r}"):
+        with error_prefix(f"{self.place}, row {token!r}"):
             return Rigid.from_quaternion(self.values[row, :4], self.values[row, 4:])
 
 

@@ -25,7 +25,7 @@ from viewshed.recordings.read._kitti_files import (
     text_lines,
     times_of,
 )
-from viewshed.recordings.read.source import ObjectBox, RecordingSource, SweepRef, note_damage, numbered, problems_of
+from viewshed.recordings.read.source import ObjectBox, RecordingSource, SweepRef, error_prefix, note_damage, numbered
 from viewshed.sweep import Sweep
 
 if TYPE_CHECKING:
@@ -76,7 +76,7 @@ class _Kitti(RecordingSource):
     def _pose(self, ref: SweepRef) -> Rigid | None:
         if ref.scene not in self._tracks:
             return None
-        with problems_of(f"{ref.file}: has no pose"):
+        with error_prefix(f"{ref.file}: has no pose"):
             return self._tracks[ref.scene](ref.key)
 
 
@@ -183,7 +183,7 @@ def velodyne_from_camera(root: Path, calibration: Path) -> Rigid:
     """
     texts = named_texts(root, calibration)
     where = f"{calibration}, R0_rect"
-    with problems_of(where):
+    with error_prefix(where):
         rectification = Rigid(numbers_of(texts.get("R0_rect", ""), 9, where).reshape(3, 3), np.zeros(3))
     return (rectification @ rigid_named(root, calibration, "Tr_velo_to_cam")).inverse()
 
@@ -206,7 +206,7 @@ def _box(line: str, where: str, velodyne_from_camera: Rigid) -> ObjectBox:
     *_, height, width, length, x, y, z, turn = numbers_of(rest, _NUMBERS, where)
     c, s = np.cos(turn), np.sin(turn)
     camera_from_box = Rigid(np.array([[c, s, 0.0], [0.0, 0.0, -1.0], [-s, c, 0.0]]), np.array([x, y - height / 2.0, z]))
-    with problems_of(where):
+    with error_prefix(where):
         return ObjectBox(velodyne_from_camera @ camera_from_box, (length, width, height), category)
 
 
@@ -259,7 +259,7 @@ class Tracklets:
     def _box(self, track: _Track, frame: int, world_from_velodyne: Rigid) -> ObjectBox:
         """Return one object; as in ``run_demoTracklets.m`` of the development kit z is that of the bottom."""
         x, y, z, yaw = track.poses[frame - track.first].tolist()
-        with problems_of(f"{self.place}, tracklet {track.name}, frame {frame}"):
+        with error_prefix(f"{self.place}, tracklet {track.name}, frame {frame}"):
             velodyne_from_box = Rigid.from_yaw(yaw, (x, y, z + track.size_m[2] / 2))
             return ObjectBox(world_from_velodyne @ velodyne_from_box, track.size_m, track.category, track.name)
 

@@ -14,7 +14,7 @@ from viewshed.geometry import Rigid
 from viewshed.io import FILE_FRAMES, read_sweep
 from viewshed.io._input import inside, one_line
 from viewshed.recordings.read._nuscenes_tables import NuscenesTables, floats_of, rows_of_table
-from viewshed.recordings.read.source import ObjectBox, RecordingSource, SweepRef, problems_of
+from viewshed.recordings.read.source import ObjectBox, RecordingSource, SweepRef, error_prefix
 from viewshed.recordings.read.tf_tree import between
 from viewshed.sweep import Sweep
 
@@ -83,7 +83,7 @@ class Annotations:
         if instance not in self.categories:
             raise ValueError(one_line(f"{self.place}: row {row} names no object with a category, {instance!r}"))
         quaternion, center, (width, length, height) = np.split(self.values[row], (4, 7))
-        with problems_of(f"{self.place}: row {row}"):
+        with error_prefix(f"{self.place}: row {row}"):
             pose = Rigid.from_quaternion(quaternion, center)
             size_m = (float(length), float(width), float(height))
             returns = None if self.returns[row] < 0 else self.returns[row]
@@ -112,7 +112,7 @@ class Nuscenes(RecordingSource):
         """Return a sweep with ring, time, pose, height and beams."""
         tokens = self._tables.tokens[ref.key]
         file = inside(self._folder.parent, ref.file)
-        with problems_of(f"{ref.file}: has no pose"):
+        with error_prefix(f"{ref.file}: has no pose"):
             ego_from_file = self._tables.calibrations.pose(tokens.calibration)
             world_from_ego = self._tables.poses.pose(tokens.pose)
         sweep = read_sweep(

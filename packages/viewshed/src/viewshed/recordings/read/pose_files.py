@@ -16,7 +16,7 @@ from viewshed.geometry import Rigid
 from viewshed.io._input import open_input
 from viewshed.io.formats import is_recording
 from viewshed.recordings.read._kitti_files import rigid_named, world_from_imu
-from viewshed.recordings.read.source import problems_of
+from viewshed.recordings.read.source import error_prefix
 from viewshed.recordings.read.tf_tree import between, nearest
 from viewshed.sweep import LATEST_S, Sweep
 
@@ -102,7 +102,7 @@ class PoseFile:
             raise ValueError(
                 f"{folder} is a folder without .pose files; give a table of poses, or a folder of such files"
             )
-        with problems_of(str(folder)):
+        with error_prefix(str(folder)):
             return cls._of_places(folder, b"\n".join(tables))
 
     @classmethod
@@ -334,7 +334,7 @@ def _numbers(content: bytes) -> tuple[NDArray[np.float64], list[int]]:
 
 
 def _kitti_pose(row: NDArray[np.float64], where: str) -> Rigid:
-    with problems_of(where):
+    with error_prefix(where):
         return Rigid(row.reshape(3, 4)[:, :3], row.reshape(3, 4)[:, 3])
 
 
