@@ -316,9 +316,7 @@ class Ros1Bag(_ChunkedBag):
             content = io.BytesIO(self._chunk[1])
             content.seek(offset)
             header = self._rosbags.Header.read(content)
-            if (
-                header.get_uint8("op") == self._rosbags.RecordType.CONNECTION
-            ):  # some writers index the connection record before the message
+            if header.get_uint8("op") == self._rosbags.RecordType.CONNECTION:  # some indexes point at it
                 content.seek(self._rosbags.read_uint32(content), io.SEEK_CUR)
                 header = self._rosbags.Header.read(content)
             if header.get_uint8("op") != self._rosbags.RecordType.MSGDATA:

@@ -259,7 +259,7 @@ def _add_ouster(contents: _Contents, file: BagFile, path: Path, damage: list[str
 
 
 def _ouster_decoder(contents: _Contents, topic: str, path: Path, damage: list[str]) -> OusterDecoder | None:
-    """Return the decoder of a topic's packets, with metadata from the bag or from the JSON file beside it; None if bad."""
+    """Return the decoder of a topic's packets, with metadata from the bag or the JSON file beside it; else None."""
     try:
         metadata = contents.metadata.get(topic.rpartition("/")[0] + _METADATA)
         if metadata is None:
