@@ -97,7 +97,7 @@ class NuscenesTables:
                 samples[token] = names[scene]
             else:
                 problem = f"row {token!r} names no row of scene.json, {scene!r}"
-                _report_dropped_row(damage, folder / "sample.json", problem)
+                _report_dropped(damage, folder / "sample.json", problem)
         # 3. Collect the sweeps of the LiDAR by scene, and the poses that they refer to.
         rows: dict[str, list[tuple[int, bool, str, str]]] = {name: [] for name in names.values()}
         tokens: dict[str, Tokens] = {}
@@ -107,7 +107,7 @@ class NuscenesTables:
                 tokens[token] = Tokens(intern(sample), intern(calibration), token if pose == token else pose)
             else:
                 problem = f"{file} names no sample of a scene, {sample!r}"
-                _report_dropped_row(damage, folder / "sample_data.json", problem)
+                _report_dropped(damage, folder / "sample_data.json", problem)
         scenes = {
             scene: [
                 SweepRef(scene, index, file, t_us * 1000, sensor=CHANNEL, keyframe=keyframe, key=token)
@@ -132,9 +132,7 @@ def _lidar_rows(folder: Path, is_lidar: Mapping[str, bool], damage: list[str]) -
         if abs(t_us) < _MAX_MICROSECONDS:
             yield row
         else:
-            _report_dropped_row(
-                damage, place, f"row {token!r} must have microseconds as 'timestamp', got {str(t_us)[:30]}"
-            )
+            _report_dropped(damage, place, f"row {token!r} must have microseconds as 'timestamp', got {str(t_us)[:30]}")
 
 
 def floats_of(parts: list[Any], lengths: tuple[int, ...]) -> array[float]:
@@ -171,7 +169,7 @@ def _columns(
         else:
             key = next(key for key in kinds if type(row.get(key)) is not kinds[key])
             got = str(row.get(key))[:60]
-            _report_dropped_row(damage, place, f"row {number} must have {_KINDS[kinds[key]]} as {key!r}, got {got!r}")
+            _report_dropped(damage, place, f"row {number} must have {_KINDS[kinds[key]]} as {key!r}, got {got!r}")
 
 
 def rows_of_table(place: Path) -> Iterator[dict[str, Any]]:
@@ -180,5 +178,5 @@ def rows_of_table(place: Path) -> Iterator[dict[str, Any]]:
         yield from json_rows(source)
 
 
-def _report_dropped_row(damage: list[str], place: Path, problem: str) -> None:
+def _report_dropped(damage: list[str], place: Path, problem: str) -> None:
     note_damage(damage, f"{place}: {problem}; the row is left out")

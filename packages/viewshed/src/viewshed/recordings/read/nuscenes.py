@@ -65,7 +65,7 @@ class Annotations:
         """Interpolate boxes at ``share`` in [0, 1] between two samples, for objects that are in both.
 
         Centers are interpolated linearly, headings along the shorter arc, and the size is that of ``after``, as in
-        ``get_boxes`` of the development kit. Objects only in ``after`` are dropped; the kit shows them at that position.
+        ``get_boxes`` of the development kit. Objects only in ``after`` are dropped; the kit shows them at that pose.
         """
         first = {self.instances[row]: row for row in self.rows.get(before, ())}
         pairs = ((first.get(self.instances[row]), row) for row in self.rows.get(after, ()))
