@@ -128,11 +128,8 @@ class RosMessages:
 
     def pose(self, rigid: Rigid) -> Any:
         """Make a Pose."""
-        return self.make(
-            "geometry_msgs/msg/Pose",
-            position=self._vector("Point", rigid.translation),
-            orientation=self._quaternion(rigid),
-        )
+        position, orientation = self._vector("Point", rigid.translation), self._quaternion(rigid)
+        return self.make("geometry_msgs/msg/Pose", position=position, orientation=orientation)
 
     def cloud(self, sweep: Sweep, t_ns: int, frame: str) -> Any:
         """Make a PointCloud2 with the points and columns of a sweep."""
