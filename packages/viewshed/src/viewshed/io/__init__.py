@@ -110,8 +110,8 @@ def write_sweep(sweep: Sweep, path: str | os.PathLike[str], *, format: str = "au
         OSError: the file cannot be written.
         ValueError: the format is unknown or cannot store the sweep.
     """
-    where = os.fspath(path)
-    content = writer_named(format, where)(sweep)
-    if where.lower().endswith(".gz"):
+    file_path = os.fspath(path)
+    content = writer_named(format, file_path)(sweep)
+    if file_path.lower().endswith(".gz"):
         content = gzip.compress(content, compresslevel=6, mtime=0)
-    write_atomic(where, content)
+    write_atomic(file_path, content)

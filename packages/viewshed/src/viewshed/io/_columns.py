@@ -217,10 +217,10 @@ def number_columns(
     >>> number_columns(b"1 2 nan\n", 0, 1, 3, {"y": 1})["y"].tolist()
     [2.0]
     """
-    held = len(content) - start
-    columns = {name: np.empty(rows) for name in positions} if rows * max(1, 2 * width - 1) <= held else {}
+    available = len(content) - start
+    columns = {name: np.empty(rows) for name in positions} if rows * max(1, 2 * width - 1) <= available else {}
     if rows and not columns:
-        raise ValueError(f"text is cut off: {rows} rows of {width} numbers need more than {held} bytes")
+        raise ValueError(f"text is cut off: {rows} rows of {width} numbers need more than {available} bytes")
     done = 0
     for part in _text_blocks(content, start, width):
         lines = part[: rows - done]

@@ -73,34 +73,34 @@ def errors_with_path(path: str | os.PathLike[str], root: str | os.PathLike[str] 
         path: the file that is read.
         root: the folder of its recording; a message that contains it is not prefixed again. None is ``path``.
     """
-    where = os.fspath(path)
-    known = None if root is None else os.fspath(root)
+    file_path = os.fspath(path)
+    root_path = None if root is None else os.fspath(root)
     try:
         yield
     except ImportError as error:
-        raise ImportError(_with_path(where, known, error)) from error
+        raise ImportError(_with_path(file_path, root_path, error)) from error
     except OSError as error:
         kind = type(error) if vars(builtins).get(type(error).__name__) is type(error) else OSError
-        raise kind(_with_path(where, known, _os_problem(error, where))) from error
+        raise kind(_with_path(file_path, root_path, _os_problem(error, file_path))) from error
     except ValueError as error:
-        raise ValueError(_with_path(where, known, error)) from error
+        raise ValueError(_with_path(file_path, root_path, error)) from error
     except Exception as error:
         problem = f"is damaged or of a kind that is not read: {type(error).__name__}: {error}"
-        raise ValueError(_with_path(where, known, problem)) from error
+        raise ValueError(_with_path(file_path, root_path, problem)) from error
 
 
-def _os_problem(error: OSError, where: str) -> object:
+def _os_problem(error: OSError, file_path: str) -> object:
     """Return the system's message without errno, prefixed by the file name if it is another file."""
     if error.strerror is None:
         return error
-    other = error.filename if isinstance(error.filename, str) and error.filename != where else ""
+    other = error.filename if isinstance(error.filename, str) and error.filename != file_path else ""
     return f"{other}: {error.strerror}" if other else error.strerror
 
 
-def _with_path(where: str, known: str | None, problem: object) -> str:
+def _with_path(file_path: str, root_path: str | None, problem: object) -> str:
     line = one_line(problem)
-    has_path = line.startswith(where) if known is None else known in line
-    return line if has_path else one_line(f"{where}: {line}", 400 + len(where))
+    has_path = line.startswith(file_path) if root_path is None else root_path in line
+    return line if has_path else one_line(f"{file_path}: {line}", 400 + len(file_path))
 
 
 def inside(root: str | os.PathLike[str], path: str | os.PathLike[str]) -> Path:
@@ -125,9 +125,9 @@ def unpack_limit(packed_bytes: int) -> int:
 @contextmanager
 def open_input(path: str | os.PathLike[str]) -> Iterator[InputFile]:
     """Open a file, gunzipped if needed; errors raised while it is open are converted by :func:`errors_with_path`."""
-    where = os.fspath(path)
-    with errors_with_path(where):
-        descriptor = os.open(where, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
+    file_path = os.fspath(path)
+    with errors_with_path(file_path):
+        descriptor = os.open(file_path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
         try:
             status = os.fstat(descriptor)
             _check_regular(status)
@@ -138,13 +138,13 @@ def open_input(path: str | os.PathLike[str]) -> Iterator[InputFile]:
         with file:
             head = file.read(_HEAD_BYTES)
             file.seek(0)
-            name = os.path.basename(where).lower()  # noqa: PTH119 (a Path costs as much as reading a small sweep)
+            name = os.path.basename(file_path).lower()  # noqa: PTH119 (a Path costs as much as reading a small sweep)
             if head[:2] != b"\x1f\x8b":
-                yield InputFile(where, name, file, status.st_size, head)
+                yield InputFile(file_path, name, file, status.st_size, head)
                 return
             content = _gunzip(file, unpack_limit(status.st_size))
             unpacked = io.BytesIO(content)
-            yield InputFile(where, name.removesuffix(".gz"), unpacked, len(content), content[:_HEAD_BYTES])
+            yield InputFile(file_path, name.removesuffix(".gz"), unpacked, len(content), content[:_HEAD_BYTES])
 
 
 def _check_regular(status: os.stat_result) -> None:

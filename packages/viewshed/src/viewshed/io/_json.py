@@ -72,7 +72,7 @@ def _complete_rows(pending: bytes, comma: bytes) -> tuple[list[Any], int]:
         end = stop
 
 
-def _skip_blanks(text: str, at: int) -> int:
-    while text[at : at + 1] in {" ", "\t", "\r", "\n"}:
-        at += 1
-    return at
+def _skip_blanks(text: str, position: int) -> int:
+    while text[position : position + 1] in {" ", "\t", "\r", "\n"}:
+        position += 1
+    return position

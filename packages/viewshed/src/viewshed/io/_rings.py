@@ -23,7 +23,7 @@ _SECTOR, _MIN_NEIGHBORS = 0.035, 200
 
 _MAX_RING_STD = np.deg2rad(2.0)
 
-_MAX_SPREAD_RATIO = 0.7
+_MAX_DIFF_RATIO = 0.7
 
 _CONVENTIONS = tuple(product((1.0, np.pi / 180, np.pi / 18000), (1.0, -1.0), (0.0, np.pi / 2, np.pi, -np.pi / 2)))
 
@@ -104,12 +104,12 @@ def problem_of_rings(ring: NDArray[Any], points: NDArray[np.float32]) -> str | N
     low, high = int(ring.min()), int(ring.max())
     if low < 0 or high >= MAX_RINGS:
         return f"rings must lie in [0, {MAX_RINGS}), got {low}…{high}"
-    count, elevation_std, beside, any_two = _core.spread_of_rings(points, ring.astype(np.int16), _SECTOR)
+    count, elevation_std, neighbor_diff, mean_diff = _core.spread_of_rings(points, ring.astype(np.int16), _SECTOR)
     if count < _MIN_NEIGHBORS:
         return None
     if low == high:
         return f"every return has ring {low}" if elevation_std > _MAX_RING_STD else None
-    return "returns beside each other are of rings far apart" if beside > _MAX_SPREAD_RATIO * any_two else None
+    return "returns beside each other are of rings far apart" if neighbor_diff > _MAX_DIFF_RATIO * mean_diff else None
 
 
 def matched_azimuth(value: NDArray[np.floating], points: NDArray[np.float32]) -> NDArray[np.float32] | None:

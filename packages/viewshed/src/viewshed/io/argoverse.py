@@ -110,8 +110,8 @@ def _claimed_bytes(metadata: bytes, body: bytes) -> int:
     return claimed
 
 
-def _follow(data: bytes, at: int) -> int:
-    return int(at + struct.unpack_from("<I", data, at)[0])
+def _follow(data: bytes, position: int) -> int:
+    return int(position + struct.unpack_from("<I", data, position)[0])
 
 
 def _field(data: bytes, table: int, index: int) -> int:

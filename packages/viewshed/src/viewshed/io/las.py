@@ -29,11 +29,11 @@ def read_las(source: InputFile, frame: Rigid | None) -> Iterator[Columns]:
         count, needed = header.point_count, header.point_count * header.point_format.size
         if count > MAX_POINTS:
             raise ValueError(f"a sweep must have at most {MAX_POINTS} points, LAS header says {count}")
-        held = (
+        available = (
             unpack_limit(len(content)) if header.are_points_compressed else len(content) - header.offset_to_point_data
         )
-        if needed > held:
-            raise ValueError(f"LAS data is cut off: {count} points need {needed} bytes, the file holds {held}")
+        if needed > available:
+            raise ValueError(f"LAS data is cut off: {count} points need {needed} bytes, the file holds {available}")
         points = reader.read()
     table = {name: np.asarray(getattr(points, name), np.float64) for name in "xyz"}
     extra = {name.lower(): name for name in header.point_format.extra_dimension_names if name.lower() in KNOWN_COLUMNS}

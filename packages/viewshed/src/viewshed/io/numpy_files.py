@@ -61,10 +61,10 @@ def parse_npy(content: bytes) -> NDArray[Any]:
     count = 1
     for size in shape:
         count *= size
-    held = len(content) - start
-    if count * kind.itemsize != held:
-        raise ValueError(f"NPY shape {shape} of {kind} needs {count * kind.itemsize} bytes, the array holds {held}")
-    flat = np.frombuffer(content, kind, count, start) if held else np.empty(0, kind)
+    actual = len(content) - start
+    if count * kind.itemsize != actual:
+        raise ValueError(f"NPY shape {shape} of {kind} needs {count * kind.itemsize} bytes, the array holds {actual}")
+    flat = np.frombuffer(content, kind, count, start) if actual else np.empty(0, kind)
     return flat.reshape(shape, order="F" if match[2] == "True" else "C")
 
 

@@ -262,29 +262,29 @@ class OusterDecoder:
 
     def decode(self, packets: list[bytes]) -> tuple[Columns, bool]:
         """Decode the packets of one revolution; return its returns, column by column, and whether it is complete."""
-        measured = np.frombuffer(b"".join(packets), self._packet)["columns"].reshape(-1)
-        known = ((measured["status"] & 1) > 0) & (measured["number"] < self.metadata.columns)
+        columns = np.frombuffer(b"".join(packets), self._packet)["columns"].reshape(-1)
+        valid = ((columns["status"] & 1) > 0) & (columns["number"] < self.metadata.columns)
         # If a column was sent twice, the later one is used.
         last = np.full(self.metadata.columns, -1)
-        last[measured["number"][known]] = np.flatnonzero(known)
+        last[columns["number"][valid]] = np.flatnonzero(valid)
         numbers = np.flatnonzero(last >= 0)
-        measured = measured[last[numbers]]
-        pixels, profile = measured["pixels"], self.metadata.profile
+        columns = columns[last[numbers]]
+        pixels, profile = columns["pixels"], self.metadata.profile
         range_mm = (pixels["range"] & (2**profile.range_bits - 1)).astype(np.float64) * profile.unit_mm
-        at, row = np.nonzero(range_mm)
-        column = numbers[at]
-        points = range_mm[at, row, None] * 1e-3 * self._direction[column, row] + self._start_m[column, row]
-        stamp = measured["stamp"].astype(np.int64)
+        index, row = np.nonzero(range_mm)
+        column = numbers[index]
+        points = range_mm[index, row, None] * 1e-3 * self._direction[column, row] + self._start_m[column, row]
+        stamp = columns["stamp"].astype(np.int64)
         start = int(stamp.min()) if len(stamp) else 0
         return Columns(
-            points.astype(np.float32), pixels["intensity"][at, row].astype(np.float32),
+            points.astype(np.float32), pixels["intensity"][index, row].astype(np.float32),
             ring=self._rank[row].astype(np.int16), azimuth=self._azimuth[column],
-            time_s=((stamp[at] - start) * 1e-9).astype(np.float32), t_ns=start, model=self._model, frame=self.frame,
+            time_s=((stamp[index] - start) * 1e-9).astype(np.float32), t_ns=start, model=self._model, frame=self.frame,
         ), self._is_complete(last >= 0)  # fmt: skip
 
-    def _is_complete(self, known: NDArray[np.bool_]) -> bool:
+    def _is_complete(self, valid: NDArray[np.bool_]) -> bool:
         first, last = self.metadata.window
-        return bool(known[first : last + 1].all() if first <= last else known[first:].all() and known[: last + 1].all())
+        return bool(valid[first : last + 1].all() if first <= last else valid[first:].all() and valid[: last + 1].all())
 
 
 def _packet_type(metadata: OusterMetadata) -> np.dtype[Any]:
@@ -312,14 +312,15 @@ def _packet_type(metadata: OusterMetadata) -> np.dtype[Any]:
 
 def _beams(metadata: OusterMetadata) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the beam directions (columns, rows, 3) in the sensor's frame, and their points at range 0 in meters."""
-    turn = 2 * np.pi * (1 - np.arange(metadata.columns) / metadata.columns)[:, None]
-    azimuth, altitude = turn + metadata.azimuth, np.broadcast_to(metadata.altitude, (len(turn), len(metadata.altitude)))
+    angle = 2 * np.pi * (1 - np.arange(metadata.columns) / metadata.columns)[:, None]
+    azimuth = angle + metadata.azimuth
+    altitude = np.broadcast_to(metadata.altitude, azimuth.shape)
     direction = np.stack(
         [np.cos(azimuth) * np.cos(altitude), np.sin(azimuth) * np.cos(altitude), np.sin(altitude)], axis=-1
     )
     # Ranges count from the lidar origin, not from the beam origin: subtract the distance between them.
     out_mm, up_mm = metadata.origin_mm
-    origin_mm = np.stack([out_mm * np.cos(turn), out_mm * np.sin(turn), np.full_like(turn, up_mm)], axis=-1)
+    origin_mm = np.stack([out_mm * np.cos(angle), out_mm * np.sin(angle), np.full_like(angle, up_mm)], axis=-1)
     start_mm = origin_mm - direction * np.hypot(out_mm, up_mm)
     rotation, translation = metadata.sensor_from_lidar[:3, :3], metadata.sensor_from_lidar[:3, 3]
     return direction @ rotation.T, (start_mm @ rotation.T + translation) * 1e-3

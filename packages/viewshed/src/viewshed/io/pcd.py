@@ -117,11 +117,11 @@ def _ascii(content: bytes, header: _Header) -> Mapping[str, NDArray[Any]]:
 
 
 def _binary(content: bytes, header: _Header) -> Mapping[str, NDArray[Any]]:
-    held, needed = len(content) - header.start, header.points * header.row_bytes
-    if held < needed:
-        raise ValueError(f"PCD data is cut off: {header.points} points need {needed} bytes, the file holds {held}")
-    if held - needed > _MAX_PADDING_BYTES:
-        raise ValueError(f"PCD header is wrong: {header.points} points need {needed} bytes, the file holds {held}")
+    available, needed = len(content) - header.start, header.points * header.row_bytes
+    if available < needed:
+        raise ValueError(f"PCD data is cut off: {header.points} points need {needed} bytes, the file holds {available}")
+    if available - needed > _MAX_PADDING_BYTES:
+        raise ValueError(f"PCD header is wrong: {header.points} points need {needed} bytes, the file holds {available}")
     kinds, offsets, _ = zip(*header.columns.values(), strict=True) if header.columns else ((), (), ())
     kind = np.dtype({
         "names": list(header.columns), "formats": kinds, "offsets": offsets, "itemsize": header.row_bytes,
@@ -132,12 +132,12 @@ def _binary(content: bytes, header: _Header) -> Mapping[str, NDArray[Any]]:
 
 def _compressed(content: bytes, header: _Header) -> Mapping[str, NDArray[Any]]:
     """Return the columns of an LZF block, which stores field after field."""
-    held, needed = len(content) - header.start - 8, header.points * header.row_bytes
-    if held < 0:
+    available, needed = len(content) - header.start - 8, header.points * header.row_bytes
+    if available < 0:
         raise ValueError("PCD data is cut off before its two sizes")
     packed, unpacked = (int(n) for n in np.frombuffer(content, "<u4", 2, header.start))
-    if packed > held:
-        raise ValueError(f"PCD data is cut off: it should hold {packed} compressed bytes, got {held}")
+    if packed > available:
+        raise ValueError(f"PCD data is cut off: it should hold {packed} compressed bytes, got {available}")
     if unpacked != needed or unpacked > _MAX_LZF_RATIO * packed:
         raise ValueError(
             f"PCD sizes do not agree: {header.points} points are {needed} bytes, got {unpacked} from {packed}"

@@ -109,9 +109,9 @@ def _vertices(content: bytes, header: _Header) -> Mapping[str, NDArray[Any]]:
         positions = {name: index for index, name in enumerate(names) if name in KNOWN_COLUMNS}
         return number_columns(content, header.start, count, len(names), positions)
     kind = np.dtype([(name, header.order + header.properties[name]) for name in names])
-    held, needed = len(content) - header.start, count * kind.itemsize
-    if held < needed:
-        raise ValueError(f"PLY data is cut off: {count} vertices need {needed} bytes, the file holds {held}")
+    available, needed = len(content) - header.start, count * kind.itemsize
+    if available < needed:
+        raise ValueError(f"PLY data is cut off: {count} vertices need {needed} bytes, the file holds {available}")
     table = np.frombuffer(content, kind, count, header.start) if count and names else np.empty(0, kind)
     return {name: table[name] for name in names if name in KNOWN_COLUMNS}
 

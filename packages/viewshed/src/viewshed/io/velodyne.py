@@ -62,16 +62,16 @@ def udp_payloads(content: bytes) -> Iterator[tuple[float, bytes]]:
         raise ValueError(f"packet capture must be of Ethernet or raw IP, got link type {link}")
     record = struct.Struct(order + "IIII")
     fragments: dict[bytes, _Datagram] = {}
-    at = 24
-    while at < len(content):
-        if at + 16 > len(content):
+    offset = 24
+    while offset < len(content):
+        if offset + 16 > len(content):
             raise ValueError("packet capture is cut off within a packet header")
-        seconds, fraction, captured, _ = record.unpack_from(content, at)
-        at += 16
-        if captured > len(content) - at:
-            raise ValueError(f"packet capture is cut off: a packet of {captured} bytes, {len(content) - at} left")
-        datagram = _datagram(content[at : at + captured], link, fragments)
-        at += captured
+        seconds, fraction, captured, _ = record.unpack_from(content, offset)
+        offset += 16
+        if captured > len(content) - offset:
+            raise ValueError(f"packet capture is cut off: a packet of {captured} bytes, {len(content) - offset} left")
+        datagram = _datagram(content[offset : offset + captured], link, fragments)
+        offset += captured
         if datagram is not None:
             yield seconds + fraction * unit, datagram
 

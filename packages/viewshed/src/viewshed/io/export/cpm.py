@@ -152,11 +152,11 @@ def _fans(mask: Mask, grid: BevGrid, sectors: int, whole_cells: bool) -> list[Se
     apexes = [[_apex(part, grid, apex_distance_m, whole_cells) for part in parts] for parts in splits]
     parts, chosen = max(zip(splits, apexes, strict=True), key=lambda split: sum(score for _, score in split[1]))
     count = sectors // len(parts)
-    beside = [
+    beside_sensor = [
         sectors_of_mask(part, grid, count, apex_m=apex, whole_cells=whole_cells, range_step_m=0.1)
         for part, (apex, _) in zip(parts, chosen, strict=True)
     ]
-    return max(at_sensor, beside, _fans_at_deepest_points(mask, grid, sectors, whole_cells), key=_area)
+    return max(at_sensor, beside_sensor, _fans_at_deepest_points(mask, grid, sectors, whole_cells), key=_area)
 
 
 def _area(fans: list[Sectors]) -> float:

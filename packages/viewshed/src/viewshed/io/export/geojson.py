@@ -69,14 +69,14 @@ def to_geojson(estimate: FovEstimate, threshold: float | None = None, *, crs: st
 def _feature(layer: str, mask: Any, estimate: FovEstimate, threshold: float, system: CRS | None) -> dict[str, Any]:
     polygon = polygon_of_mask(mask, estimate.grid)
     pose = estimate.world_from_level
-    placed: BaseGeometry = polygon
+    geometry: BaseGeometry = polygon
     if pose is not None:
         c, s, (x_m, y_m) = float(np.cos(pose.yaw)), float(np.sin(pose.yaw)), pose.translation[:2].tolist()
-        placed = affine_transform(polygon, [c, -s, s, c, x_m, y_m])
-    placed = placed if system is None else to_wgs84(placed, system)
+        geometry = affine_transform(polygon, [c, -s, s, c, x_m, y_m])
+    geometry = geometry if system is None else to_wgs84(geometry, system)
     return {
         "type": "Feature",
-        "geometry": {"type": "MultiPolygon", "coordinates": shapely.geometry.mapping(placed)["coordinates"]},
+        "geometry": {"type": "MultiPolygon", "coordinates": shapely.geometry.mapping(geometry)["coordinates"]},
         "properties": {
             "layer": layer,
             "area_m2": float(mask.sum()) * estimate.grid.cell_area_m2,

@@ -367,10 +367,10 @@ def _build_bag(root: Path, scene: str, path: Path, contents: _Contents, encoding
         for cloud in clouds
     )
     for topic in topics:
-        own = [poses[index] for index, cloud in enumerate(clouds) if cloud.topic == topic and worlds[cloud.frame]]
-        if own.count(None):
+        own_poses = [poses[index] for index, cloud in enumerate(clouds) if cloud.topic == topic and worlds[cloud.frame]]
+        if own_poses.count(None):
             problem = "lie outside the times of the transforms and have no pose"
-            note_damage(contents.notes, f"{own.count(None)} of {len(own)} clouds of {topic} {problem}")
+            note_damage(contents.notes, f"{own_poses.count(None)} of {len(own_poses)} clouds of {topic} {problem}")
     _note_tilting(contents, clouds)
     places = tuple(
         (pose, _covariance(contents, cloud, worlds[cloud.frame], pose), _height_m(contents, cloud))
@@ -401,10 +401,10 @@ def _note_tilting(contents: _Contents, clouds: list[_Cloud]) -> None:
 
 
 def _height_m(contents: _Contents, cloud: _Cloud) -> float | None:
-    known = contents.transforms.frames()
-    own = f"{cloud.frame.rpartition('/')[0]}/{FOOTPRINT}"
-    footprint = own if own in known else FOOTPRINT
-    if footprint not in known:
+    frames = contents.transforms.frames()
+    prefixed = f"{cloud.frame.rpartition('/')[0]}/{FOOTPRINT}"
+    footprint = prefixed if prefixed in frames else FOOTPRINT
+    if footprint not in frames:
         return None
     try:
         pose = contents.transforms.lookup(footprint, cloud.frame, cloud.t_ns)

@@ -142,8 +142,8 @@ class TransformBuffer:
         ups, downs = self.chain(source.lstrip("/")), self.chain(target.lstrip("/"))
         common = next((frame for frame in ups if frame in downs), None)
         if common is None:
-            known = ", ".join(self.frames()) or "none"
-            raise ValueError(f"no transform leads from frame {source!r} to {target!r}; frames that exist: {known}")
+            frames = ", ".join(self.frames()) or "none"
+            raise ValueError(f"no transform leads from frame {source!r} to {target!r}; frames that exist: {frames}")
         from_source = self._up(ups[: ups.index(common)], t_ns)
         from_target = self._up(downs[: downs.index(common)], t_ns)
         return None if from_source is None or from_target is None else from_target.inverse() @ from_source
@@ -158,8 +158,8 @@ class TransformBuffer:
         worlds = tuple(worlds)
         first = next((world for world in worlds if world in chain), None)
         if first is None:
-            known = ", ".join(self.frames()) or "none"
-            raise ValueError(f"frame {frame!r} hangs from none of {', '.join(worlds)}; frames that exist: {known}")
+            frames = ", ".join(self.frames()) or "none"
+            raise ValueError(f"frame {frame!r} hangs from none of {', '.join(worlds)}; frames that exist: {frames}")
         return first
 
     def tilt_rad(self, frame: str, times_ns: Iterable[int]) -> float:

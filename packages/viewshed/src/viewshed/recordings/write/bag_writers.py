@@ -72,9 +72,9 @@ class McapWriter:
                 self._schemas[schema.name] = self._writer.register_schema(
                     schema.name, schema.encoding, schema.definition
                 )
-            about = {"offered_qos_profiles": _qos(latched)} if schema.encoding == "ros2msg" else {}
+            metadata = {"offered_qos_profiles": _qos(latched)} if schema.encoding == "ros2msg" else {}
             number = self._schemas[schema.name]
-            self._channels[topic] = self._writer.register_channel(topic, schema.message_encoding, number, about)
+            self._channels[topic] = self._writer.register_channel(topic, schema.message_encoding, number, metadata)
         self._writer.add_message(self._channels[topic], t_ns, raw, t_ns, self._counts[topic])
         self._counts[topic] += 1
 
@@ -167,13 +167,13 @@ class SqliteWriter:
             "starting_time": {"nanoseconds_since_epoch": start}, "duration": {"nanoseconds": duration},
             "message_count": count,
         }  # fmt: skip
-        about = {
+        metadata = {
             "version": 5, "storage_identifier": "sqlite3", "relative_file_paths": [self._name], **times,
             "topics_with_message_count": topics, "compression_format": "", "compression_mode": "",
             "files": [{"path": self._name, **times}],
         }  # fmt: skip
         # JSON is valid YAML, so no YAML package is needed.
-        text = json.dumps({"rosbag2_bagfile_information": about}, indent=1) + "\n"
+        text = json.dumps({"rosbag2_bagfile_information": metadata}, indent=1) + "\n"
         (self._folder / "metadata.yaml").write_text(text, encoding="utf-8")
 
 

@@ -69,15 +69,15 @@ def foxglove_messages(moment: Moment) -> Iterator[tuple[str, Schema, bytes]]:
             (f"/{agent}/lidar/objects", fox.SceneUpdate(entities=_object_entities(moment, moment.answer.objects)))
         )
     if moment.round is not None:
-        done, round_stamp = moment.round, _stamp(moment.round.t_ns)
-        tracks = _tracks_entity(tracks_of_center(done.picture), round_stamp, MAP)
+        completed, round_stamp = moment.round, _stamp(moment.round.t_ns)
+        tracks = _tracks_entity(tracks_of_center(completed.picture), round_stamp, MAP)
         messages.append(("/command_center/objects", fox.SceneUpdate(entities=[tracks])))
-        estimate = done.joint.estimate(done.t_ns)
-        messages.append(("/command_center/fov", _grid(estimate, round_stamp, MAP, done.joint.world_from_grid)))
+        estimate = completed.joint.estimate(completed.t_ns)
+        messages.append(("/command_center/fov", _grid(estimate, round_stamp, MAP, completed.joint.world_from_grid)))
         level = fox.LogLevel.Warning
         messages += [
             ("/log", fox.Log(timestamp=stamp, level=level, message=sentence, name="command_center"))
-            for sentence in done.sentences()
+            for sentence in completed.sentences()
         ]
     for topic, message in messages:
         schema = message.get_schema()
@@ -87,12 +87,12 @@ def foxglove_messages(moment: Moment) -> Iterator[tuple[str, Schema, bytes]]:
 
 def _plain_messages(moment: Moment) -> Iterator[tuple[str, Schema, bytes]]:
     """Yield the data without a Foxglove schema as JSON: explained tracks, metrics, trust, picture."""
-    agent, done = moment.agent, moment.round
+    agent, completed = moment.agent, moment.round
     values: dict[str, object] = {
         f"/{agent}/lidar/explained": None if moment.answer.objects is None else {"tracks": moment.explained()},
         f"/metrics/{agent}": dict(moment.metrics) or None,
         f"/trust/{agent}": None if moment.trust is None else {"trust": moment.trust},
-        "/command_center/picture": None if done is None else done.numbers(),
+        "/command_center/picture": None if completed is None else completed.numbers(),
     }
     for topic, value in values.items():
         if value is not None:

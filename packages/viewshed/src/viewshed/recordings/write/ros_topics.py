@@ -245,26 +245,26 @@ class RosMessages:
 
     def lies(self, moment: Moment) -> Any:
         """Make a DiagnosticArray: a status for each accusation and dispute of the round; None if there is none."""
-        done = moment.round
-        if done is None:
+        completed = moment.round
+        if completed is None:
             return None
-        values = {f"trust of {name}": f"{row['trust']:.3f}" for name, row in done.numbers()["agents"].items()}
-        return self._statuses(done.sentences(), done.t_ns, values, level=1, name="viewshed: command_center")
+        values = {f"trust of {name}": f"{row['trust']:.3f}" for name, row in completed.numbers()["agents"].items()}
+        return self._statuses(completed.sentences(), completed.t_ns, values, level=1, name="viewshed: command_center")
 
     def diagnostics(self, moment: Moment, sentences: list[str]) -> Any:
         """Make a DiagnosticArray: a status for each sentence, with the numbers of the answer; None if there is none."""
-        about = {
+        fields = {
             "level": int(moment.verdict()),
             "name": f"viewshed: {moment.agent}",
             "hardware_id": moment.sensor_frame,
         }
-        return self._statuses(sentences, moment.t_ns, moment.numbers(), **about)
+        return self._statuses(sentences, moment.t_ns, moment.numbers(), **fields)
 
-    def _statuses(self, sentences: list[str], t_ns: int, numbers: dict[str, str], **about: Any) -> Any:
+    def _statuses(self, sentences: list[str], t_ns: int, numbers: dict[str, str], **fields: Any) -> Any:
         """Make a DiagnosticArray: a status for each sentence, all with the same numbers; None if there is none."""
         kind, pair = "diagnostic_msgs/msg/DiagnosticStatus", "diagnostic_msgs/msg/KeyValue"
         values = [self.make(pair, key=key, value=value) for key, value in numbers.items()]
-        status = [self.make(kind, message=sentence, values=values, **about) for sentence in sentences]
+        status = [self.make(kind, message=sentence, values=values, **fields) for sentence in sentences]
         return self.make(DIAGNOSTICS, header=self.header(t_ns, ""), status=status) if status else None
 
     def text(self, value: object) -> Any:
@@ -284,7 +284,7 @@ class RosMessages:
 class Topic:
     """One topic of a bag."""
 
-    name: str  # with ``{agent}`` where each agent has its own
+    name: str  # may contain ``{agent}``
     make: Callable[[RosMessages, Moment], Any]  # makes the message of a moment, or None if there is none
     # written once, and again when more agents are attacked; late subscribers receive it too
     latched: bool = False
@@ -319,17 +319,17 @@ def _tracks(ros: RosMessages, moment: Moment) -> Any:
 
 
 def _joint_tracks(ros: RosMessages, moment: Moment) -> Any:
-    done = moment.round
-    return None if done is None else ros.tracks(tracks_of_center(done.picture), done.t_ns, MAP)
+    completed = moment.round
+    return None if completed is None else ros.tracks(tracks_of_center(completed.picture), completed.t_ns, MAP)
 
 
 def _joint_view(ros: RosMessages, moment: Moment) -> Any:
     """Make the grid of the joint field of view in the map, at the height of the ground."""
-    done = moment.round
-    if done is None:
+    completed = moment.round
+    if completed is None:
         return None
-    estimate, pose = done.joint.estimate(done.t_ns), done.joint.world_from_grid
-    return ros.grid(visibility_layer(estimate, "visibility"), estimate.grid, done.t_ns, MAP, pose)
+    estimate, pose = completed.joint.estimate(completed.t_ns), completed.joint.world_from_grid
+    return ros.grid(visibility_layer(estimate, "visibility"), estimate.grid, completed.t_ns, MAP, pose)
 
 
 TOPICS = (
