@@ -139,7 +139,7 @@ def _wrapped(angle: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def matched_time_s(value: NDArray[np.generic]) -> NDArray[np.float32] | None:
-    """Convert a file's time column (N,) to seconds since its minimum; None if it spans more than one revolution.
+    """Convert a file's time column (N,) to seconds since its minimum; None if not finite or over one revolution.
 
     Integers are nanoseconds, floats are seconds; one revolution lasts at most :data:`REVOLUTION_S`.
 

@@ -47,7 +47,7 @@ class PoseTable:
 
     place: Path  # file of the table
     rows: dict[str, int]  # token → row of ``values``
-    # (N, 7) float64: quaternion (w, x, y, z), translation in meters; NaN if the row is damaged
+    # (N, 7) float64: quaternion (w, x, y, z), translation in meters; not finite if the row is damaged
     values: NDArray[np.float64]
 
     @classmethod

@@ -32,7 +32,7 @@ class Annotations:
 
     place: Path  # file of the table
     rows: dict[str, array[int]]  # token of the sample → rows of ``values`` and ``instances``
-    # (N, 10) float64: quaternion (w, x, y, z), center and width, length, height in meters; NaN if the row is damaged
+    # (N, 10) float64: quaternion (w, x, y, z), center and width, length, height in meters; not finite if damaged
     values: NDArray[np.float64]
     instances: list[str]  # token of the object (instance), by row
     returns: array[int]  # number of LiDAR returns in the box, by row; -1 if unknown
