@@ -28,11 +28,11 @@ _MAX_POINT_BYTES = 1 << 20
 
 
 class _Column(NamedTuple):
-    """A column to read: its type, its byte offset in a point, and its index in a line of text."""
+    """A column to read: its type, its byte offset in a point, and its position in a line of text."""
 
     kind: str
     byte: int
-    index: int
+    position: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,22 +97,22 @@ def _columns(entries: dict[str, list[str]]) -> tuple[dict[str, _Column], int, in
     if not names or not len(names) == len(kinds) == len(counts) == len(entries.get("SIZE", [])):
         raise ValueError("PCD header lines FIELDS, SIZE, TYPE and COUNT must be of one length")
     columns: dict[str, _Column] = {}
-    byte = number_index = 0
+    byte = position = 0
     for index, (name, kind) in enumerate(zip(names, kinds, strict=True)):
         size = _number(entries, "SIZE", index)
         count = _number(entries, "COUNT", index) if "COUNT" in entries else 1
         if size not in _SIZES.get(kind.upper(), set()) or count > _MAX_HEADER_BYTES:
             raise ValueError(f"PCD field {name!r} has unknown TYPE {kind!r}, SIZE {size} or COUNT {count}")
         if count == 1 and name.lower() in KNOWN_COLUMNS:
-            columns.setdefault(name.lower(), _Column(f"<{kind.lower()}{size}", byte, number_index))
-        byte, number_index = byte + size * count, number_index + count
+            columns.setdefault(name.lower(), _Column(f"<{kind.lower()}{size}", byte, position))
+        byte, position = byte + size * count, position + count
     if byte > _MAX_POINT_BYTES:
         raise ValueError(f"PCD points must have at most {_MAX_POINT_BYTES} bytes each, got {byte}")
-    return columns, byte, number_index
+    return columns, byte, position
 
 
 def _ascii(content: bytes, header: _Header) -> Mapping[str, NDArray[Any]]:
-    positions = {name: column.index for name, column in header.columns.items()}
+    positions = {name: column.position for name, column in header.columns.items()}
     return number_columns(content, header.start, header.points, header.numbers, positions)
 
 
