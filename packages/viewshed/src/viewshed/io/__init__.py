@@ -1,7 +1,7 @@
 """Read and write sweeps.
 
-The format is known by content and name, see :data:`FORMATS`; points come out in the sensor's frame. A file that cannot
-be read is a ValueError or an OSError of one line that begins with its name.
+The format is detected from content and file name (see :data:`FORMATS`). Points are returned in the sensor's frame.
+Errors are a ValueError or an OSError with a one-line message that begins with the path.
 """
 
 from __future__ import annotations
@@ -39,20 +39,20 @@ def read_sweep(
     attitude: ArrayLike | None = None,
     world_from_sensor: Rigid | None = None,
 ) -> Sweep:
-    """Return the sweep in a file, the first complete one where it holds several, in the sensor's frame.
+    """Read the first complete sweep of a file, in the sensor's frame.
 
     Args:
         path: the file, gzipped or not.
-        format: a name in :data:`FORMATS`, or "auto" to know it by content and name.
+        format: a name in :data:`FORMATS`, or "auto" to detect it from content and file name.
         sensor: beam table or its name (see :func:`viewshed.lidar_model`).
-        file_frame: a name in :data:`FILE_FRAMES` or ``sensor_from_file``; None is the format's own.
-        sensor_height_m: mounting height above the ground, if it is known.
-        attitude: quaternion (w, x, y, z) of ``level_from_sensor``, if it is known.
-        world_from_sensor: pose in the map, if it is known.
+        file_frame: a name in :data:`FILE_FRAMES` or a ``sensor_from_file`` transform; None is the format's default.
+        sensor_height_m: mounting height above the ground, if known.
+        attitude: quaternion (w, x, y, z) of ``level_from_sensor``, if known.
+        world_from_sensor: pose in the map, if known.
 
     Raises:
         OSError: the file cannot be opened.
-        ValueError: the file is not a sweep, or an argument is wrong.
+        ValueError: the file holds no valid sweep, or an argument is invalid.
         ImportError: the format needs an extra that is not installed.
     """
     return next(read_sweeps(
@@ -71,26 +71,26 @@ def read_sweeps(
     attitude: ArrayLike | None = None,
     world_from_sensor: Rigid | None = None,
 ) -> Iterator[Sweep]:
-    """Yield every complete sweep in a file; arguments and errors are those of :func:`read_sweep`."""
+    """Yield every complete sweep of a file; arguments and errors as in :func:`read_sweep`."""
     model = lidar_model(sensor) if isinstance(sensor, str) else sensor
     frame = None if file_frame is None else file_frame_named(file_frame)
-    stated: dict[str, Any] = {"sensor_height_m": sensor_height_m, "world_from_sensor": world_from_sensor}
-    stated["attitude"] = None if attitude is None else np.asarray(attitude)
-    stated = {name: value for name, value in stated.items() if value is not None}
+    given: dict[str, Any] = {"sensor_height_m": sensor_height_m, "world_from_sensor": world_from_sensor}
+    given["attitude"] = None if attitude is None else np.asarray(attitude)
+    given = {name: value for name, value in given.items() if value is not None}
     with open_input(path) as source:
         name = format_of(source) if format == "auto" else format
         if name not in all_formats():
             raise ValueError(f"format must be auto or one of {', '.join(all_formats())}, got {name!r}")
         for columns in all_formats()[name].read(source, frame):
-            yield sweep_of(columns, source, model, stated)
+            yield sweep_of(columns, source, model, given)
 
 
 def read_indexed(entry: IndexEntry) -> Sweep:
-    """Return the sweep of an entry of :func:`read_index`, with the frame, height, pose and time that the index gives.
+    """Read the sweep of an entry of :func:`read_index`, with the frame, height, pose and time given in the index.
 
     Raises:
         OSError: the file cannot be opened.
-        ValueError: the file is not a sweep.
+        ValueError: the file holds no valid sweep.
     """
     sweep = read_sweep(
         entry.file, file_frame=entry.sensor_from_file,
@@ -102,16 +102,16 @@ def read_indexed(entry: IndexEntry) -> Sweep:
 
 
 def write_sweep(sweep: Sweep, path: str | os.PathLike[str], *, format: str = "auto") -> None:  # noqa: A002
-    """Write a sweep in the sensor's frame (nuScenes: in its own); a file that exists is replaced in one step.
+    """Write a sweep in the sensor's frame (nuScenes: in nuScenes' frame); an existing file is replaced atomically.
 
-    Only NPZ keeps everything; see :data:`FORMATS`. A path that ends in ``.gz`` is gzipped.
+    Only NPZ is lossless; see :data:`FORMATS`. The file is gzipped if the path ends in ``.gz``.
 
     Raises:
         OSError: the file cannot be written.
-        ValueError: the format is not known or cannot hold the sweep.
+        ValueError: the format is unknown or cannot store the sweep.
     """
-    where = os.fspath(path)
-    content = writer_named(format, where)(sweep)
-    if where.lower().endswith(".gz"):
+    file_path = os.fspath(path)
+    content = writer_named(format, file_path)(sweep)
+    if file_path.lower().endswith(".gz"):
         content = gzip.compress(content, compresslevel=6, mtime=0)
-    write_atomic(where, content)
+    write_atomic(file_path, content)

@@ -1,4 +1,4 @@
-"""From what a file holds to a Sweep: columns under their usual names, frames, and rows of numbers in text."""
+"""Build a Sweep from the columns of a file: column names, frames, and parsing of numeric text."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from viewshed.io._rings import (
     matched_time_s,
     problem_of_rings,
     rings_by_elevation,
-    whole_rings,
+    valid_rings,
 )
 from viewshed.sensors import LidarModel
 from viewshed.sweep import Sweep
@@ -31,20 +31,20 @@ FILE_FRAMES: dict[str, Rigid] = {
     "argoverse2": Rigid(np.eye(3), np.array([-1.35018, 0.0, -1.64042])),
     "pandaset": Rigid(np.eye(3), np.array([0.0, 0.0, -1.8])),
 }
-"""Name → ``sensor_from_file``, the frames that files come in (sensor: x forward, y left, z up).
+"""Name → ``sensor_from_file``, the transform from the frame of a file to the sensor's (x forward, y left, z up).
 
-sensor: as it is. nuscenes: x right, y forward. carla: raw files of CARLA ≤ 0.9.9, x right, y backward, z down.
+sensor: identity. nuscenes: x right, y forward. carla: raw files of CARLA ≤ 0.9.9, x right, y backward, z down.
 argoverse2: the car's frame (rear axle) → its ``up_lidar``. pandaset: the car's frame → a sensor 1.8 m above its origin
 (inferred from the innermost ring, not documented by the data set).
 """
 
 
 class Assumption(UserWarning):
-    """What a file does not say and was assumed: a note for whoever reads it, no fault."""
+    """Warns of an assumption that the reader made because the file does not state the value; not an error."""
 
 
 def file_frame_named(frame: str | Rigid) -> Rigid:
-    """Return the ``sensor_from_file`` of a name in :data:`FILE_FRAMES`; a transform is returned as it is.
+    """Return the ``sensor_from_file`` of a name in :data:`FILE_FRAMES`; a Rigid is returned unchanged.
 
     >>> (file_frame_named("nuscenes") @ np.array([0.0, 5.0, 0.0])).tolist()
     [5.0, 0.0, 0.0]
@@ -57,7 +57,7 @@ def file_frame_named(frame: str | Rigid) -> Rigid:
 
 
 def is_identity(frame: Rigid) -> bool:
-    """Return whether a transform changes nothing."""
+    """Return whether a transform is exactly the identity."""
     return bool((frame.rotation == np.eye(3)).all() and not frame.translation.any())
 
 
@@ -66,48 +66,48 @@ IDENTITY = FILE_FRAMES["sensor"]
 
 @dataclass(slots=True, eq=False)
 class Columns:
-    """Columns of one revolution (not frozen, which costs as much as opening a file)."""
+    """Columns of one revolution; not frozen because that would cost as much time as opening a file."""
 
     points: NDArray[np.float32]  # (N, 3) float32, meters, writable, in ``frame``
     intensity: NDArray[np.float32] | None = None  # (N,) float32, or None
     ring: NDArray[Any] | None = None  # (N,) beam index, 0 the lowest, or None
-    # (N,) beam number in the file's own order, turned into ``ring`` by elevation, or None
+    # (N,) beam number in the file's own order, converted to ``ring`` by elevation, or None
     laser: NDArray[np.int64] | None = None
     azimuth: NDArray[np.float32] | None = None  # (N,) float32 radians, counter-clockwise from x of ``frame``, or None
     time_s: NDArray[np.float32] | None = None  # (N,) float32 seconds since the start of the sweep, or None
     t_ns: int | None = None  # time of the sweep in nanoseconds, or None
-    model: LidarModel | None = None  # beams as the file describes them, or None
-    frame: Rigid = IDENTITY  # what is still to be done: ``sensor_from_columns``
-    saved: Mapping[str, Any] | None = None  # the other attributes of a Sweep that this package wrote, or None
-    left_out: tuple[str, ...] = ()  # what was in the file and cannot be what its name says, one line each
+    model: LidarModel | None = None  # beam table stated by the file, or None
+    frame: Rigid = IDENTITY  # ``sensor_from_columns``, still to be applied
+    saved: Mapping[str, Any] | None = None  # other Sweep attributes, in files written by this package, or None
+    left_out: tuple[str, ...] = ()  # one warning for each column that was dropped as invalid
 
 
-def sweep_of(columns: Columns, source: InputFile, model: LidarModel | None, stated: Mapping[str, Any]) -> Sweep:
-    """Return the Sweep of a file's columns, in the sensor's frame; columns that were left out are warned of.
+def sweep_of(columns: Columns, source: InputFile, model: LidarModel | None, given: Mapping[str, Any]) -> Sweep:
+    """Build the Sweep of a file's columns in the sensor's frame; warn of each dropped column.
 
     Args:
-        columns: of the file.
+        columns: the columns of the file.
         source: the file.
-        model: beams of the sensor, if the caller knows them.
-        stated: other attributes of the sweep that the caller knows; they go before what the file says.
+        model: beam table of the sensor, if the caller knows it.
+        given: other sweep attributes from the caller; they override those in the file.
     """
-    points, azimuth, known = columns.points, columns.azimuth, {**(columns.saved or {}), **stated}
+    points, azimuth, known = columns.points, columns.azimuth, {**(columns.saved or {}), **given}
     if columns.frame is not IDENTITY and not is_identity(columns.frame):
         if known.get("planar") is not None:
             raise ValueError(
                 "file_frame must be left out for a scan in one plane, which lies in the sensor's own frame"
             )
         _core.move_points(points, columns.frame.rotation, columns.frame.translation)
-        azimuth = None if azimuth is None else _turned(azimuth, columns.frame)
+        azimuth = None if azimuth is None else _rotated(azimuth, columns.frame)
     model = columns.model if model is None else model
     left_out = columns.left_out
     ring = columns.ring if columns.laser is None else rings_by_elevation(columns.laser, points, model)
-    # Packets know their rings; a column may hold anything.
+    # Rings decoded from packets are trusted; a ring column of a file may hold anything, so it is checked.
     is_column = ring is not None and columns.model is None and ring.dtype.kind in "iu"
     problem = problem_of_rings(ring, points) if is_column and ring is not None else None
     if problem is not None:
         ring, left_out = None, (*left_out, f"ring is left out: {problem}")
-    if "world_from_sensor" in stated:
+    if "world_from_sensor" in given:
         known.pop("pose_covariance", None)
     sweep = Sweep(points, columns.intensity, ring, azimuth, columns.time_s, columns.t_ns, model=model, **known)
     if len(sweep) == 0 and len(points) > 0:
@@ -117,7 +117,7 @@ def sweep_of(columns: Columns, source: InputFile, model: LidarModel | None, stat
     return sweep
 
 
-def _turned(azimuth: NDArray[np.float32], frame: Rigid) -> NDArray[np.float32]:
+def _rotated(azimuth: NDArray[np.float32], frame: Rigid) -> NDArray[np.float32]:
     x, y = np.cos(azimuth, dtype=np.float64), np.sin(azimuth, dtype=np.float64)
     r = frame.rotation
     turned = np.arctan2(r[1, 0] * x + r[1, 1] * y, r[0, 0] * x + r[0, 1] * y)
@@ -125,7 +125,7 @@ def _turned(azimuth: NDArray[np.float32], frame: Rigid) -> NDArray[np.float32]:
 
 
 MARK = "viewshed sweep"
-"""A comment in files that this package wrote: ring counts from the lowest beam, azimuth and time are ours."""
+"""Comment in files written by this package: ring 0 is the lowest beam, azimuth and time use our conventions."""
 
 _INTENSITY = ("intensity", "i", "reflectivity", "reflectance", "scalar_intensity", "remission")
 
@@ -135,25 +135,24 @@ _AZIMUTH = ("azimuth",)
 
 _TIME = ("time", "time_s", "timestamp", "time_stamp", "t", "offset_time", "offset_ns")
 
-WANTED = frozenset(("x", "y", "z", *_INTENSITY, *_RING, *_AZIMUTH, *_TIME))
-"""Lower-case names of columns that are read; the others are skipped."""
+KNOWN_COLUMNS = frozenset(("x", "y", "z", *_INTENSITY, *_RING, *_AZIMUTH, *_TIME))
+"""Lower-case names of columns that are read; others are skipped."""
 
-
-_FAR_M = 10_000.0
-"""Float32 stores coordinates beyond this in steps of a millimeter and more."""
+_FLOAT32_LIMIT_M = 10_000.0
+"""Beyond this distance the spacing of float32 is about a millimeter or more."""
 
 
 def near_points(axes: Sequence[NDArray[Any]], frame: Rigid) -> tuple[NDArray[np.float32], Rigid]:
-    """Return points (N, 3) of their x, y and z (N,), and the ``sensor_from_file`` that is left to apply.
+    """Stack x, y, z (N,) to float32 points (N, 3); return them and the ``sensor_from_file`` still to apply.
 
-    Coordinates of a map, whose frame only moves them by far, are moved before float32 could round them.
+    A frame that is only a large translation (map coordinates) is applied in float64, before rounding to float32.
 
     >>> place = Rigid(np.eye(3), np.array([0.0, -5_930_000.0, 0.0]))
     >>> near_points([np.array([1.0]), np.array([5_930_000.125]), np.array([0.0])], place)[0].tolist()
     [[1.0, 0.125, 0.0]]
     """
     points = np.empty((len(axes[0]), 3), np.float32)
-    is_far = bool(np.abs(frame.translation).max() > _FAR_M and (frame.rotation == np.eye(3)).all())
+    is_far = bool(np.abs(frame.translation).max() > _FLOAT32_LIMIT_M and (frame.rotation == np.eye(3)).all())
     with np.errstate(over="ignore", invalid="ignore"):
         for axis, values in enumerate(axes):
             points[:, axis] = values + frame.translation[axis] if is_far else values
@@ -161,21 +160,21 @@ def near_points(axes: Sequence[NDArray[Any]], frame: Rigid) -> tuple[NDArray[np.
 
 
 def columns_of_table(table: Mapping[str, NDArray[Any]], frame: Rigid | None, *, ours: bool) -> Columns:
-    """Return Columns from lower-case names → (N,) numbers; ``ours`` says that this package wrote the file.
+    """Build Columns from a table of lower-case name → (N,) numbers; ``ours``: this package wrote the file.
 
-    Other programs mean many things by ring, azimuth and time: a column that cannot be what its name says is left out.
+    Ring, azimuth and time have many meanings in files of other programs: columns with invalid values are dropped.
     """
     missing = [name for name in "xyz" if name not in table]
     if missing:
         raise ValueError(f"must have columns x, y and z, {', '.join(missing)} not found among {', '.join(table)}")
-    points, place = near_points([table[name] for name in "xyz"], IDENTITY if frame is None else frame)
+    points, remaining = near_points([table[name] for name in "xyz"], IDENTITY if frame is None else frame)
     with np.errstate(over="ignore", invalid="ignore"):
         intensity = _first(table, _INTENSITY)
         intensity = None if intensity is None else intensity.astype(np.float32)
     ring, azimuth, time = (_first(table, names) for names in (_RING, _AZIMUTH, _TIME))
     if ours:
-        return Columns(points, intensity, ring, azimuth=azimuth, time_s=time, frame=place)
-    laser = None if ring is None else whole_rings(ring)
+        return Columns(points, intensity, ring, azimuth=azimuth, time_s=time, frame=remaining)
+    laser = None if ring is None else valid_rings(ring)
     angle = None if azimuth is None else matched_azimuth(azimuth, points)
     time_s = None if time is None else matched_time_s(time)
     t_ns = None if time is None or time_s is None else instant_ns(time)
@@ -186,7 +185,7 @@ def columns_of_table(table: Mapping[str, NDArray[Any]], frame: Rigid | None, *, 
     )
     left_out = tuple(problem for column, usable, problem in rules if column is not None and usable is None)
     return Columns(
-        points, intensity, laser=laser, azimuth=angle, time_s=time_s, t_ns=t_ns, frame=place, left_out=left_out
+        points, intensity, laser=laser, azimuth=angle, time_s=time_s, t_ns=t_ns, frame=remaining, left_out=left_out
     )  # fmt: skip
 
 
@@ -195,7 +194,7 @@ def _first(table: Mapping[str, NDArray[Any]], names: tuple[str, ...]) -> NDArray
 
 
 def table_of_sweep(sweep: Sweep) -> NDArray[Any]:
-    """Return the sweep's columns as one little-endian structured array (N,); columns it lacks are left out."""
+    """Return the sweep's columns as one little-endian structured array (N,); missing columns are left out."""
     columns: dict[str, tuple[str, NDArray[Any] | None]] = {
         "x": ("<f4", sweep.points[:, 0]), "y": ("<f4", sweep.points[:, 1]), "z": ("<f4", sweep.points[:, 2]),
         "intensity": ("<f4", sweep.intensity), "ring": ("<i2", sweep.ring),
@@ -209,19 +208,19 @@ def table_of_sweep(sweep: Sweep) -> NDArray[Any]:
 
 
 def number_columns(
-    content: bytes, start: int, rows: int, width: int, wanted: Mapping[str, int]
+    content: bytes, start: int, rows: int, width: int, positions: Mapping[str, int]
 ) -> dict[str, NDArray[np.float64]]:
-    r"""Return the columns (rows,) float64 of text with ``width`` numbers a line, for ``wanted`` names → positions.
+    r"""Parse text with ``width`` numbers a line; return the float64 columns (rows,) of ``positions`` (name → position).
 
-    Text takes two bytes a number and numpy eight, so it is read a part at a time and only wanted columns are kept.
+    A number can take two bytes of text but eight in numpy, so text is parsed in blocks and only these columns are kept.
 
     >>> number_columns(b"1 2 nan\n", 0, 1, 3, {"y": 1})["y"].tolist()
     [2.0]
     """
-    columns = {name: np.empty(rows) for name in wanted} if rows * max(1, 2 * width - 1) <= len(content) - start else {}
+    available = len(content) - start
+    columns = {name: np.empty(rows) for name in positions} if rows * max(1, 2 * width - 1) <= available else {}
     if rows and not columns:
-        held = len(content) - start
-        raise ValueError(f"text is cut off: {rows} rows of {width} numbers need more than {held} bytes")
+        raise ValueError(f"text is cut off: {rows} rows of {width} numbers need more than {available} bytes")
     done = 0
     for part in _text_blocks(content, start, width):
         lines = part[: rows - done]
@@ -230,7 +229,7 @@ def number_columns(
             if table.shape != (len(lines), width):
                 got = f"{done + len(table)} of {table.shape[1]}"
                 raise ValueError(f"text must hold {rows} rows of {width} numbers, got {got}")
-            for name, position in wanted.items():
+            for name, position in positions.items():
                 columns[name][done : done + len(lines)] = table[:, position]
             done += len(lines)
         if done == rows:
@@ -242,17 +241,17 @@ def number_columns(
 
 _TEXT_BLOCK_BYTES = 1 << 18
 
-_TEXT_BYTES_A_NUMBER = 64
+_MAX_BYTES_A_NUMBER = 64
 
 
 def _text_blocks(content: bytes, start: int, width: int) -> Iterator[list[str]]:
-    """Yield the lines that are not empty, block by block; one far too long for its numbers is refused."""
-    longest = 256 + _TEXT_BYTES_A_NUMBER * width
-    block = max(_TEXT_BLOCK_BYTES, longest)
+    """Yield the non-empty lines, block by block; raise if a line is far too long for ``width`` numbers."""
+    max_bytes = 256 + _MAX_BYTES_A_NUMBER * width
+    block = max(_TEXT_BLOCK_BYTES, max_bytes)
     while start < len(content):
         end = content.rfind(b"\n", start, start + block) + 1 or min(len(content), start + block)
         lines = content[start:end].decode("latin-1").split("\n")
-        if max(map(len, lines)) >= longest:
-            raise ValueError(f"text must hold {width} numbers a line, got a line of more than {longest} bytes")
+        if max(map(len, lines)) >= max_bytes:
+            raise ValueError(f"text must hold {width} numbers a line, got a line of more than {max_bytes} bytes")
         yield [line for line in lines if line and not line.isspace()]
         start = end

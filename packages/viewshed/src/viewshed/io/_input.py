@@ -1,4 +1,4 @@
-"""Files as input: opened, unpacked and bounded; whatever goes wrong in them is one line that names the file."""
+"""Open input files: gunzip with size limits, and report every error as one line that names the file."""
 
 from __future__ import annotations
 
@@ -14,34 +14,34 @@ from pathlib import Path
 from typing import BinaryIO
 
 MAX_UNPACKED_BYTES = 2_000_000_000
-"""Compressed content larger than this is refused."""
+"""Limit of the decompressed size of a file."""
 
 MAX_RATIO = 200
-"""Content that unpacks to more than this many times its packed size is refused (above 1 MB)."""
+"""Limit of the compression ratio, checked above 1 MB of decompressed content (against zip bombs)."""
 
-_SMALL_BYTES = 1_000_000
+_MIN_LIMIT_BYTES = 1_000_000
 
 _HEAD_BYTES = 64
 
 _CHUNK_BYTES = 1 << 20
 
-_GZIP_BLOCK_BYTES = 1 << 14  # small, since zlib copies what is left of a block behind each member
+_GZIP_BLOCK_BYTES = 1 << 14  # small: zlib copies the rest of the block after each member
 
-_GZIP_MEMBERS_MAX = 50_000
+_MAX_GZIP_MEMBERS = 50_000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class InputFile:
-    """One input: where it is, what it holds."""
+    """An opened input file."""
 
-    path: str  # the file as the caller named it
+    path: str  # as given by the caller
     name: str  # lower-case file name without ``.gz``
     file: BinaryIO  # binary stream at its start
-    size: int  # bytes in the stream, measured, not claimed
+    size: int  # bytes in the stream, measured, not taken from a header
     head: bytes  # the first 64 bytes
 
     def content(self, limit_bytes: int | None = None) -> bytes:
-        """Return every byte of the stream."""
+        """Read the whole stream; raise ValueError if it is longer than ``limit_bytes``."""
         if limit_bytes is not None and self.size > limit_bytes:
             raise ValueError(f"must be at most {limit_bytes} bytes, got {self.size}")
         self.file.seek(0)
@@ -49,7 +49,7 @@ class InputFile:
 
 
 def one_line(text: object, limit: int = 400) -> str:
-    r"""Return text on one line, cut after ``limit`` characters; an error without a message gives its type's name.
+    r"""Return text as one line, truncated to ``limit`` characters; an error without a message gives its type's name.
 
     >>> one_line("two\n  lines")
     'two lines'
@@ -63,48 +63,48 @@ def one_line(text: object, limit: int = 400) -> str:
 
 
 @contextmanager
-def errors_named(path: str | os.PathLike[str], root: str | os.PathLike[str] | None = None) -> Iterator[None]:
-    """Turn whatever is raised inside into an error of one line that begins with a file's name.
+def errors_with_path(path: str | os.PathLike[str], root: str | os.PathLike[str] | None = None) -> Iterator[None]:
+    """Convert every exception raised inside to a one-line error that begins with the path.
 
-    Readers, and the libraries below them, raise a dozen types on damaged content. This is the one place that makes
-    ValueErrors of them, so that a bad file never ends the run over the others. OSError and ImportError keep their type.
+    Readers and their libraries raise a dozen exception types on damaged content. This is the one place that converts
+    them to ValueError, so that callers can skip a bad file. OSError and ImportError keep their type.
 
     Args:
         path: the file that is read.
-        root: its recording; a message that already names something inside is left as it is. None is ``path``.
+        root: the folder of its recording; a message that contains it is not prefixed again. None is ``path``.
     """
-    where = os.fspath(path)
-    known = None if root is None else os.fspath(root)
+    file_path = os.fspath(path)
+    root_path = None if root is None else os.fspath(root)
     try:
         yield
     except ImportError as error:
-        raise ImportError(_named(where, known, error)) from error
+        raise ImportError(_with_path(file_path, root_path, error)) from error
     except OSError as error:
         kind = type(error) if vars(builtins).get(type(error).__name__) is type(error) else OSError
-        raise kind(_named(where, known, _os_problem(error, where))) from error
+        raise kind(_with_path(file_path, root_path, _os_problem(error, file_path))) from error
     except ValueError as error:
-        raise ValueError(_named(where, known, error)) from error
+        raise ValueError(_with_path(file_path, root_path, error)) from error
     except Exception as error:
         problem = f"is damaged or of a kind that is not read: {type(error).__name__}: {error}"
-        raise ValueError(_named(where, known, problem)) from error
+        raise ValueError(_with_path(file_path, root_path, problem)) from error
 
 
-def _os_problem(error: OSError, where: str) -> object:
-    """Return what the system says, without the number, and with the name of the file where that is another one."""
+def _os_problem(error: OSError, file_path: str) -> object:
+    """Return the system's message without errno, prefixed by the file name if it is another file."""
     if error.strerror is None:
         return error
-    other = error.filename if isinstance(error.filename, str) and error.filename != where else ""
+    other = error.filename if isinstance(error.filename, str) and error.filename != file_path else ""
     return f"{other}: {error.strerror}" if other else error.strerror
 
 
-def _named(where: str, known: str | None, problem: object) -> str:
+def _with_path(file_path: str, root_path: str | None, problem: object) -> str:
     line = one_line(problem)
-    named = line.startswith(where) if known is None else known in line
-    return line if named else one_line(f"{where}: {line}", 400 + len(where))
+    has_path = line.startswith(file_path) if root_path is None else root_path in line
+    return line if has_path else one_line(f"{file_path}: {line}", 400 + len(file_path))
 
 
 def inside(root: str | os.PathLike[str], path: str | os.PathLike[str]) -> Path:
-    """Return a path whose links all stay below ``root``, as it was named."""
+    """Return ``path`` unchanged; raise ValueError if its symbolic links lead out of ``root`` or in a circle."""
     real_root, real_path = os.path.realpath(root), os.path.realpath(path)
     if real_path != real_root and not real_path.startswith(real_root.rstrip(os.sep) + os.sep):
         raise ValueError(f"{os.fspath(path)}: leads out of {os.fspath(root)}; refused")
@@ -114,20 +114,20 @@ def inside(root: str | os.PathLike[str], path: str | os.PathLike[str]) -> Path:
 
 
 def unpack_limit(packed_bytes: int) -> int:
-    """Return how many bytes compressed content of this size may unpack to.
+    """Return the limit in bytes of the decompressed size of content of this compressed size.
 
     >>> unpack_limit(10), unpack_limit(1_000_000), unpack_limit(10**9)
     (1000000, 200000000, 2000000000)
     """
-    return min(MAX_UNPACKED_BYTES, max(MAX_RATIO * packed_bytes, _SMALL_BYTES))
+    return min(MAX_UNPACKED_BYTES, max(MAX_RATIO * packed_bytes, _MIN_LIMIT_BYTES))
 
 
 @contextmanager
 def open_input(path: str | os.PathLike[str]) -> Iterator[InputFile]:
-    """Open a file, unpacked if it is gzipped; whatever is raised while it is open becomes a line with its name."""
-    where = os.fspath(path)
-    with errors_named(where):
-        descriptor = os.open(where, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
+    """Open a file, gunzipped if needed; errors raised while it is open are converted by :func:`errors_with_path`."""
+    file_path = os.fspath(path)
+    with errors_with_path(file_path):
+        descriptor = os.open(file_path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
         try:
             status = os.fstat(descriptor)
             _check_regular(status)
@@ -138,13 +138,13 @@ def open_input(path: str | os.PathLike[str]) -> Iterator[InputFile]:
         with file:
             head = file.read(_HEAD_BYTES)
             file.seek(0)
-            name = os.path.basename(where).lower()  # noqa: PTH119 (a Path costs as much as reading a small sweep)
+            name = os.path.basename(file_path).lower()  # noqa: PTH119 (a Path costs as much as reading a small sweep)
             if head[:2] != b"\x1f\x8b":
-                yield InputFile(where, name, file, status.st_size, head)
+                yield InputFile(file_path, name, file, status.st_size, head)
                 return
             content = _gunzip(file, unpack_limit(status.st_size))
             unpacked = io.BytesIO(content)
-            yield InputFile(where, name.removesuffix(".gz"), unpacked, len(content), content[:_HEAD_BYTES])
+            yield InputFile(file_path, name.removesuffix(".gz"), unpacked, len(content), content[:_HEAD_BYTES])
 
 
 def _check_regular(status: os.stat_result) -> None:
@@ -157,9 +157,9 @@ def _check_regular(status: os.stat_result) -> None:
 
 
 def _gunzip(file: BinaryIO, limit: int) -> bytes:
-    """Return the content of a gzip file of one or more members.
+    """Return the decompressed content of a gzip file with one or more members.
 
-    Python's own reader takes 9 microseconds a member, so that a million empty ones take 9 s: members are counted here.
+    Python's gzip module takes 9 microseconds a member, so a million empty members take 9 s: members are limited here.
     """
     chunks: list[bytes] = []
     total = members = 0
@@ -168,12 +168,12 @@ def _gunzip(file: BinaryIO, limit: int) -> bytes:
     try:
         while block or (block := file.read(_GZIP_BLOCK_BYTES)):
             if unpack is None:
-                block = block.lstrip(b"\0") if members else block  # padding behind a member
+                block = block.lstrip(b"\0") if members else block  # zero padding after a member
                 if not block:
                     continue
                 unpack, members = zlib.decompressobj(31), members + 1
-                if members > _GZIP_MEMBERS_MAX:
-                    raise ValueError(f"gzip content must have at most {_GZIP_MEMBERS_MAX} members")
+                if members > _MAX_GZIP_MEMBERS:
+                    raise ValueError(f"gzip content must have at most {_MAX_GZIP_MEMBERS} members")
             chunk = unpack.decompress(block, _CHUNK_BYTES)
             chunks.append(chunk)
             total += len(chunk)
@@ -195,7 +195,7 @@ def _check_unpacked(total: int, limit: int) -> None:
 
 
 def read_bounded(stream: BinaryIO, limit: int) -> bytes:
-    """Return everything in a stream."""
+    """Read a whole stream; raise ValueError if it has more than ``limit`` bytes."""
     chunks: list[bytes] = []
     total = 0
     while chunk := stream.read(_CHUNK_BYTES):

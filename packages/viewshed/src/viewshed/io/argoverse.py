@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from viewshed._extras import needed_for
 from viewshed.geometry import Rigid
-from viewshed.io._columns import FILE_FRAMES, WANTED, Columns, columns_of_table
+from viewshed.io._columns import FILE_FRAMES, KNOWN_COLUMNS, Columns, columns_of_table
 from viewshed.io._input import InputFile, unpack_limit
 from viewshed.sweep import MAX_POINTS
 
@@ -20,28 +20,30 @@ _NANOSECONDS = re.compile(r"(\d{18})\.feather$")
 
 _MAGIC_BYTES = 8
 
-_BATCHES_MAX = 10_000
+_MAX_BATCHES = 10_000
 
 
 def read_argoverse2(source: InputFile, frame: Rigid | None) -> Iterator[Columns]:
-    """Yield the one sweep of an Argoverse 2 feather file, by default moved from the car's frame to ``up_lidar``."""
-    table = read_feather(source.content(), WANTED)
+    """Yield the sweep of an Argoverse 2 feather file, by default transformed from the car's frame to ``up_lidar``."""
+    table = read_feather(source.content(), KNOWN_COLUMNS)
     if frame is None and "laser_number" not in table:
         raise ValueError("is no Argoverse 2 sweep (it has no laser_number); name the frame of its points")
     columns = columns_of_table(table, frame or FILE_FRAMES["argoverse2"], ours=False)
-    named = _NANOSECONDS.search(source.name)
-    columns.t_ns = int(named[1]) if named else None
+    match = _NANOSECONDS.search(source.name)
+    columns.t_ns = int(match[1]) if match else None
     yield columns
 
 
-def read_feather(content: bytes, wanted: Collection[str], words: Collection[str] = ()) -> dict[str, NDArray[Any]]:
-    """Return the wanted columns, by their names in lower case, of the messages in an Arrow file.
+def read_feather(content: bytes, numbers: Collection[str], texts: Collection[str] = ()) -> dict[str, NDArray[Any]]:
+    """Read columns of an Arrow file by lower-case name; the footer of the file is not used.
 
-    Its footer is not used. Of ``wanted`` those that are there are returned, as numbers; ``words`` are text, and must be
-    there.
+    Args:
+        content: the bytes of the file.
+        numbers: names of numeric columns; missing ones are left out.
+        texts: names of text columns; all are required.
 
     Raises:
-        ValueError: the content is damaged, claims more bytes than it may, or a column is of another type.
+        ValueError: the content is damaged, unpacks to too many bytes, or a column has another type.
     """
     with needed_for("reading Argoverse 2"):
         import pyarrow as pa
@@ -52,9 +54,9 @@ def read_feather(content: bytes, wanted: Collection[str], words: Collection[str]
         arrow = pa.ipc.open_stream(stream).read_all()
         if arrow.num_rows > MAX_POINTS:
             raise ValueError(f"a file must have at most {MAX_POINTS} rows, got {arrow.num_rows}")
-        names = [name for name in arrow.column_names if name.lower() in wanted]
+        names = [name for name in arrow.column_names if name.lower() in numbers]
         columns = {name.lower(): _numbers(pa, name, arrow.column(name)) for name in names}
-        return columns | {name: np.array(arrow.column(name).to_pylist(), np.str_) for name in words}
+        return columns | {name: np.array(arrow.column(name).to_pylist(), np.str_) for name in texts}
     except pa.ArrowException as error:
         raise ValueError(f"feather content is damaged or cut off: {error}") from error
     except (KeyError, TypeError, OSError, UnicodeError, MemoryError) as error:
@@ -69,7 +71,7 @@ def _numbers(pa: Any, name: str, column: Any) -> NDArray[Any]:
 
 
 def _check_messages(pa: Any, stream: Any, limit: int) -> None:
-    """Refuse messages whose compressed buffers claim more bytes than ``limit``, before Arrow allocates them."""
+    """Raise ValueError if the compressed buffers claim more than ``limit`` bytes, before Arrow allocates them."""
     claimed = 0
     batches = 0
     for message in pa.ipc.MessageReader.open_stream(stream):
@@ -77,8 +79,8 @@ def _check_messages(pa: Any, stream: Any, limit: int) -> None:
             raise ValueError("feather must hold plain number columns, got a dictionary")
         if message.type == "record batch":
             batches += 1
-            if batches > _BATCHES_MAX:
-                raise ValueError(f"feather must have at most {_BATCHES_MAX} record batches")
+            if batches > _MAX_BATCHES:
+                raise ValueError(f"feather must have at most {_MAX_BATCHES} record batches")
             claimed += _claimed_bytes(message.metadata.to_pybytes(), message.body.to_pybytes())
         if claimed > limit:
             raise ValueError(f"feather buffers claim {claimed} bytes, more than {limit}; refused")
@@ -87,11 +89,11 @@ def _check_messages(pa: Any, stream: Any, limit: int) -> None:
 
 
 def _claimed_bytes(metadata: bytes, body: bytes) -> int:
-    """Return how many bytes the buffers of a record batch claim to unpack to.
+    """Return the claimed decompressed size in bytes of the buffers of a record batch.
 
     Layout (format/Message.fbs of Apache Arrow): Message.header is field 2; RecordBatch.buffers is field 2, a vector of
-    (offset, length) int64 pairs, and RecordBatch.compression is field 3. A compressed buffer begins with its unpacked
-    length as int64, -1 where it is stored as it is.
+    (offset, length) int64 pairs, and RecordBatch.compression is field 3. A compressed buffer begins with its
+    decompressed length as int64, -1 if it is stored uncompressed.
     """
     try:
         batch = _follow(metadata, _field(metadata, _follow(metadata, 0), 2))
@@ -108,12 +110,12 @@ def _claimed_bytes(metadata: bytes, body: bytes) -> int:
     return claimed
 
 
-def _follow(data: bytes, at: int) -> int:
-    return int(at + struct.unpack_from("<I", data, at)[0])
+def _follow(data: bytes, position: int) -> int:
+    return int(position + struct.unpack_from("<I", data, position)[0])
 
 
 def _field(data: bytes, table: int, index: int) -> int:
-    """Return where a flatbuffer table keeps field ``index``, 0 where it has none."""
+    """Return the position of field ``index`` of a flatbuffer table, 0 if the table lacks it."""
     layout = table - struct.unpack_from("<i", data, table)[0]
     if layout < 0 or struct.unpack_from("<H", data, layout)[0] < 6 + 2 * index:
         return 0

@@ -1,4 +1,4 @@
-"""The table of formats, and which of them a file is."""
+"""Table of file formats, and detection of the format of a file."""
 
 from __future__ import annotations
 
@@ -28,17 +28,17 @@ Reader = Callable[[InputFile, Rigid | None], Iterator[Columns]]
 
 Writer = Callable[[Sweep], bytes]
 
-_PACKETS_TRIED = 200
+_MAX_PACKETS_TRIED = 200
 
 
 @dataclass(frozen=True, slots=True)
 class Format:
     """One file format."""
 
-    read: Reader  # yields the columns of each revolution in a source; None as frame is the format's own
-    suffixes: tuple[str, ...]  # lower-case endings of file names, without ``.gz``; the first is the usual one
-    begins: tuple[bytes, ...] = ()  # first bytes that tell the format, empty where it has none
-    write: Writer | None = None  # turns a sweep into the bytes of a file, or None where the format is only read
+    read: Reader  # yields the columns of each revolution; a frame of None means the format's default
+    suffixes: tuple[str, ...]  # lower-case file suffixes, without ``.gz``; the first is the usual one
+    begins: tuple[bytes, ...] = ()  # magic bytes, empty if the format has none
+    write: Writer | None = None  # encodes a sweep as the bytes of a file; None if read-only
 
 
 FORMATS: dict[str, Format] = {
@@ -54,30 +54,30 @@ FORMATS: dict[str, Format] = {
     "las": Format(read_las, (".las", ".laz"), (b"LASF",)),
     "text": Format(read_text, (".csv", ".xyz", ".asc")),
 }
-"""Name → format; docs/formats.md says what each keeps. To add one: write a module with a reader, add a line; or, in a
-package of your own, an entry point of ``viewshed.formats``."""
+"""Name → format; docs/formats.md lists what each stores. To add one, write a module with a reader and add a line here,
+or declare an entry point of ``viewshed.formats`` in your own package."""
 
 
 @lru_cache(maxsize=1)
-def _added() -> dict[str, Format]:
-    """Return the formats that installed packages add, by entry points ``viewshed.formats``; skip those that fail."""
-    added = {}
+def _plugin_formats() -> dict[str, Format]:
+    """Load the formats of installed plugins (entry points ``viewshed.formats``); warn about those that fail."""
+    formats = {}
     for name, point in plugins("formats").items():
         if name in FORMATS:
             continue
         try:
-            added[name] = load(point, lambda format_: isinstance(format_, Format), "a viewshed.io.Format")
+            formats[name] = load(point, lambda format_: isinstance(format_, Format), "a viewshed.io.Format")
         except ImportError as error:
             warnings.warn(f"format {name!r} is left out: {error}", stacklevel=2)
-    return added
+    return formats
 
 
 def all_formats() -> dict[str, Format]:
-    """Return the formats by name, those that installed packages add after ours."""
-    return FORMATS | _added()
+    """Return all formats by name: ours, then those of plugins."""
+    return FORMATS | _plugin_formats()
 
 
-_NOT_READ = {
+_UNSUPPORTED = {
     b"SQLite format 3": "is a ROS 2 bag (SQLite), a recording: open it with viewshed.open_recording",
     b"#ROSBAG V": "is a ROS 1 bag, a recording: open it with viewshed.open_recording",
     b"\x89MCAP0\r\n": "is an MCAP bag, a recording: open it with viewshed.open_recording",
@@ -86,32 +86,32 @@ _NOT_READ = {
     b"\x1f\x8b": "is gzipped twice; unpack it once",
 }
 
-_BEGINS = (*_NOT_READ, *PCAP_BEGINS, *(begins for known in FORMATS.values() for begins in known.begins))
+_MAGICS = (*_UNSUPPORTED, *PCAP_BEGINS, *(begins for known in FORMATS.values() for begins in known.begins))
 
 
 def format_of(source: InputFile) -> str:
-    """Return the name in :data:`FORMATS` of an opened file, by its first bytes, then its name, then its rows.
+    """Detect the format of an opened file by its first bytes, then its name, then its rows; return a name of FORMATS.
 
     Raises:
-        ValueError: no format fits, or two do.
+        ValueError: no format matches, or the match is ambiguous.
     """
     head = source.head
     if source.name.endswith(".pcd.bin") and not head.startswith(b"# .PCD"):
         return "nuscenes"
-    if not head.startswith(_BEGINS):
+    if not head.startswith(_MAGICS):
         return _format_by_name(source)
-    for begins, problem in _NOT_READ.items():
+    for begins, problem in _UNSUPPORTED.items():
         if head.startswith(begins):
             raise ValueError(problem)
     for name, known in FORMATS.items():
         if known.begins and head.startswith(known.begins):
             return name
-    return _maker_of_capture(source)
+    return _format_of_capture(source)
 
 
 def _format_by_name(source: InputFile) -> str:
-    for name, added in _added().items():
-        if source.head.startswith(added.begins) or source.name.endswith(added.suffixes):
+    for name, known in _plugin_formats().items():
+        if source.head.startswith(known.begins) or source.name.endswith(known.suffixes):
             return name
     if source.name.endswith(".bin"):
         if looks_like_payloads(source.size, source.head):
@@ -128,13 +128,13 @@ def _format_by_name(source: InputFile) -> str:
     )
 
 
-def _maker_of_capture(source: InputFile) -> str:
-    """Return "velodyne" where one of the first payloads is one, else "ouster"."""
+def _format_of_capture(source: InputFile) -> str:
+    """Return "velodyne" if one of the first payloads is a Velodyne packet, else "ouster"."""
     content = source.content()
     for index, (_, payload) in enumerate(udp_payloads(content)):
         if is_velodyne(payload):
             return "velodyne"
-        if index >= _PACKETS_TRIED:
+        if index >= _MAX_PACKETS_TRIED:
             break
     if metadata_path(source.path).is_file():
         return "ouster"
@@ -145,12 +145,12 @@ def _maker_of_capture(source: InputFile) -> str:
 
 
 def writer_named(name: str, path: str) -> Writer:
-    """Return what writes the format ``name``, or for "auto" the one that the suffix of ``path`` tells.
+    """Return the writer of the format ``name``; "auto" chooses by the suffix of ``path``.
 
     Raises:
-        ValueError: there is no such format, the suffix is not known, or the format is only read.
+        ValueError: the format or the suffix is unknown, or the format is read-only.
     """
-    writers = {known: how.write for known, how in all_formats().items() if how.write is not None}
+    writers = {known: form.write for known, form in all_formats().items() if form.write is not None}
     if name == "auto":
         plain = path.lower().removesuffix(".gz")
         name = next((known for known in writers if plain.endswith(all_formats()[known].suffixes)), "")
@@ -162,10 +162,10 @@ def writer_named(name: str, path: str) -> Writer:
 
 
 BAG_SUFFIXES = tuple(kind + packed for kind in (".bag", ".mcap", ".db3") for packed in ("", ".zstd", ".zst"))
-"""Endings of the names of bags, as they are or packed."""
+"""File suffixes of bags, plain or compressed."""
 
 
 def is_recording(path: str | os.PathLike[str]) -> bool:
-    """Return whether a path is a folder or a bag; anything else is a file of sweeps."""
+    """Return whether a path is a recording (a folder or a bag) and not a file of sweeps."""
     place = Path(path)
     return place.is_dir() or place.name.lower().endswith(BAG_SUFFIXES)

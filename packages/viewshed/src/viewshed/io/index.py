@@ -1,4 +1,4 @@
-"""An index of sweeps: one JSON list that names files in its own folder, their frames and poses."""
+"""Read an index of sweeps: a JSON list of files in the same folder, with their frames and poses."""
 
 from __future__ import annotations
 
@@ -13,36 +13,36 @@ from viewshed.io._input import inside, open_input
 from viewshed.io._json import json_rows
 from viewshed.sweep import LATEST_S
 
-_ENTRIES_MAX = 50_000
+_MAX_ENTRIES = 50_000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class IndexEntry:
     """One file of an index."""
 
-    file: Path  # where it lies, inside the index's folder, links followed
-    sensor: str  # the sensor as the index describes it
-    sensor_from_file: Rigid  # file coordinates → sensor frame
+    file: Path  # path in the folder of the index, links resolved
+    sensor: str  # name of the sensor, as in the index
+    sensor_from_file: Rigid  # transform from the file's frame to the sensor's
     sensor_height_m: float | None = None  # mounting height, or None
     world_from_sensor: Rigid | None = None  # pose of the sensor frame, or None
-    seq: str | None = None  # name of the drive that the sweep belongs to, or None
-    t: float | None = None  # seconds, of the drive's own clock, or None
-    points: int | None = None  # rows that the index says the sweep has; None for a file that is not a sweep
+    seq: str | None = None  # name of the drive, or None
+    t: float | None = None  # seconds of the drive's clock, or None
+    points: int | None = None  # number of points stated by the index; None for a file that is not a sweep
 
 
 def read_index(path: str | os.PathLike[str]) -> list[IndexEntry]:
-    """Return the entries of an index file, in its order.
+    """Return the entries of an index file, in order.
 
     Raises:
         OSError: the file cannot be read.
-        ValueError: it is no such index, or names a file outside its folder.
+        ValueError: it is not an index, or names a file outside its folder.
     """
     folder = Path(path).parent
     entries: list[IndexEntry] = []
     with open_input(path) as source:
         for row in json_rows(source):
-            if len(entries) >= _ENTRIES_MAX:
-                raise ValueError(f"an index must have at most {_ENTRIES_MAX} entries")
+            if len(entries) >= _MAX_ENTRIES:
+                raise ValueError(f"an index must have at most {_MAX_ENTRIES} entries")
             entries.append(_entry(folder, len(entries), row))
     return entries
 

@@ -1,4 +1,4 @@
-"""NPY and NPZ. Their headers are read here, not by numpy.load: nothing is unpickled, evaluated or believed."""
+"""NPY and NPZ files. Headers are parsed here, not by numpy.load: nothing is unpickled, and every size is checked."""
 
 from __future__ import annotations
 
@@ -18,33 +18,33 @@ from viewshed.io._input import InputFile, read_bounded, unpack_limit
 from viewshed.sensors import LidarModel
 from viewshed.sweep import MAX_POINTS, PlanarScan, Sweep, has_points_in_rows, shape_remedy
 
-_HEADER = re.compile(  # possessive (*+): a damaged header fails in one pass, whatever it is filled with
+_HEADER = re.compile(  # possessive (*+): no backtracking, so a damaged header fails in one pass
     r"\s*+\{\s*+'descr'\s*+:\s*+'([<>|=]?(?:[fiu][1248]|b1|U\d{1,7}))'\s*+,\s*+'fortran_order'\s*+:\s*+(True|False)"
     r"\s*+,\s*+'shape'\s*+:\s*+\(([\d\s,]*+)\)\s*+(?:,\s*+)?\}\s*+"
 )
 
 MILLIMETERS = "int32 points are read as millimeters; save meters as float32"
 
-_SIZES_MAX = 4
+_MAX_DIMENSIONS = 4
 
-_MEMBERS_MAX = 64
+_MAX_MEMBERS = 64
 
 _ZIP_ENTRY = b"PK\x01\x02"
 
 _VERSION = 1
 
-_SAVED = ("intensity", "ring", "azimuth", "time_s")
+_OPTIONAL_COLUMNS = ("intensity", "ring", "azimuth", "time_s")
 
-_BEAMS = ("elevation", "azimuth_offset", "origin_m")
+_BEAM_ARRAYS = ("elevation", "azimuth_offset", "origin_m")
 
-_LIMITS = ("azimuth_columns", "min_range_m", "max_range_m")
+_MODEL_LIMITS = ("azimuth_columns", "min_range_m", "max_range_m")
 
 
 def parse_npy(content: bytes) -> NDArray[Any]:
-    """Return the array in the bytes of an NPY file, a read-only view of them.
+    """Return the array of an NPY file, as a read-only view of ``content``.
 
     Raises:
-        ValueError: it is no NPY file of plain numbers or text, or its header does not agree with its size.
+        ValueError: it is no NPY file of plain numbers or text, or its header does not match its size.
     """
     if content[:6] != b"\x93NUMPY" or len(content) < 12:
         raise ValueError("is not an NPY array or is cut off")
@@ -55,21 +55,21 @@ def parse_npy(content: bytes) -> NDArray[Any]:
         raise ValueError("NPY header is damaged or its type is not plain numbers (pickled and structured are refused)")
     kind = np.dtype(match[1])
     sizes = match[3].replace(",", " ").split()
-    if len(sizes) > _SIZES_MAX or any(len(size) > 12 for size in sizes):
-        raise ValueError(f"NPY shape must be up to {_SIZES_MAX} sizes of up to 12 digits")
+    if len(sizes) > _MAX_DIMENSIONS or any(len(size) > 12 for size in sizes):
+        raise ValueError(f"NPY shape must be up to {_MAX_DIMENSIONS} sizes of up to 12 digits")
     shape = tuple(map(int, sizes))
     count = 1
     for size in shape:
         count *= size
-    held = len(content) - start
-    if count * kind.itemsize != held:
-        raise ValueError(f"NPY shape {shape} of {kind} needs {count * kind.itemsize} bytes, the array holds {held}")
-    flat = np.frombuffer(content, kind, count, start) if held else np.empty(0, kind)
+    actual = len(content) - start
+    if count * kind.itemsize != actual:
+        raise ValueError(f"NPY shape {shape} of {kind} needs {count * kind.itemsize} bytes, the array holds {actual}")
+    flat = np.frombuffer(content, kind, count, start) if actual else np.empty(0, kind)
     return flat.reshape(shape, order="F" if match[2] == "True" else "C")
 
 
 def read_npy(source: InputFile, frame: Rigid | None) -> Iterator[Columns]:
-    """Yield the one sweep of an NPY file of shape (N, 3+): meters, or millimeters where it is int32."""
+    """Yield the sweep of an NPY file of shape (N, 3+), in meters, or in millimeters if int32."""
     yield _columns_of_points(parse_npy(source.content()), frame)
 
 
@@ -85,31 +85,31 @@ def _columns_of_points(array: NDArray[Any], frame: Rigid | None) -> Columns:
         warnings.warn(MILLIMETERS, Assumption, stacklevel=2)
     with np.errstate(over="ignore"):
         meters = array[:, :3] * 1e-3 if millimeters else array[:, :3]
-        points, place = near_points(list(meters.T), IDENTITY if frame is None else frame)
+        points, remaining = near_points(list(meters.T), IDENTITY if frame is None else frame)
         intensity = array[:, 3].astype(np.float32) if array.shape[1] > 3 and not millimeters else None
-    return Columns(points, intensity, frame=place)
+    return Columns(points, intensity, frame=remaining)
 
 
 def read_npz(source: InputFile, frame: Rigid | None) -> Iterator[Columns]:
-    """Yield the one sweep of an NPZ file: its array ``points`` (N, 3+), or the only one that it has.
+    """Yield the sweep of an NPZ file: its array ``points`` (N, 3+), or its only array.
 
-    Where this package wrote it, all of a Sweep is in it.
+    Files written by this package hold all attributes of the Sweep.
     """
     members = _members(source)
     columns = _columns_of_points(members["points"], frame)
-    yield _with_saved(columns, members) if "viewshed_sweep" in members else columns
+    yield _with_attributes(columns, members) if "viewshed_sweep" in members else columns
 
 
 def _members(source: InputFile) -> dict[str, NDArray[Any]]:
-    """Return the arrays of a zip file by name, the only one as ``points``.
+    """Return the known arrays of a zip file by name; a single array is named ``points``.
 
-    Sizes are measured while unpacking, not believed.
+    Sizes are measured while decompressing, not taken from the headers.
     """
     limit = unpack_limit(source.size)
     members: dict[str, NDArray[Any]] = {}
-    entries = source.content().count(_ZIP_ENTRY)  # before zipfile makes an object of each
-    if entries > _MEMBERS_MAX:
-        raise ValueError(f"NPZ must have at most {_MEMBERS_MAX} arrays, got {entries}")
+    entries = source.content().count(_ZIP_ENTRY)  # counted before zipfile allocates an object for each
+    if entries > _MAX_MEMBERS:
+        raise ValueError(f"NPZ must have at most {_MAX_MEMBERS} arrays, got {entries}")
     try:
         with zipfile.ZipFile(source.file) as archive:
             names = [info.filename.removesuffix(".npy") for info in archive.infolist()]
@@ -131,7 +131,7 @@ def _members(source: InputFile) -> dict[str, NDArray[Any]]:
     return members
 
 
-def _with_saved(columns: Columns, members: Mapping[str, NDArray[Any]]) -> Columns:
+def _with_attributes(columns: Columns, members: Mapping[str, NDArray[Any]]) -> Columns:
     if int(members["viewshed_sweep"]) != _VERSION:
         raise ValueError(
             f"NPZ is of version {members['viewshed_sweep']} of viewshed's format, this one reads {_VERSION}"
@@ -156,7 +156,7 @@ def _with_saved(columns: Columns, members: Mapping[str, NDArray[Any]]) -> Column
 def _saved_model(members: Mapping[str, NDArray[Any]]) -> LidarModel | None:
     if "model_name" not in members:
         return None
-    elevation, offset, origin = (members[f"model_{key}"] for key in _BEAMS)
+    elevation, offset, origin = (members[f"model_{key}"] for key in _BEAM_ARRAYS)
     limits = members["model_limits"].reshape(3)
     return LidarModel(
         str(members["model_name"]), elevation, int(limits[0]), offset, origin,
@@ -168,15 +168,15 @@ def _saved_model(members: Mapping[str, NDArray[Any]]) -> LidarModel | None:
 
 
 _KEYS = {
-    "points", *_SAVED, "viewshed_sweep", "t_ns", "attitude", "sensor_height_m", "world_from_sensor", "agent",
+    "points", *_OPTIONAL_COLUMNS, "viewshed_sweep", "t_ns", "attitude", "sensor_height_m", "world_from_sensor", "agent",
     "pose_covariance", "dropped_points", "open_azimuth", "open_m", "model_name", "model_source", "model_limits",
     "model_reach_m", "model_reach_source", "model_fires_no_rings", "vehicle_yaw", "infer_sensor",
-    *(f"model_{key}" for key in _BEAMS),
+    *(f"model_{key}" for key in _BEAM_ARRAYS),
 }  # fmt: skip
 
 
 def write_npy(sweep: Sweep) -> bytes:
-    """Return an NPY file: (N, 3) float32 points, (N, 4) where the intensity is known; the rest is lost."""
+    """Encode a sweep as NPY: float32 points (N, 3), or (N, 4) with intensity; other attributes are lost."""
     table = sweep.points if sweep.intensity is None else np.column_stack((sweep.points, sweep.intensity))
     buffer = io.BytesIO()
     np.save(buffer, np.ascontiguousarray(table, "<f4"), allow_pickle=False)
@@ -184,12 +184,12 @@ def write_npy(sweep: Sweep) -> bytes:
 
 
 def write_npz(sweep: Sweep) -> bytes:
-    """Return an NPZ file that keeps every attribute of the sweep."""
+    """Encode all attributes of a sweep as NPZ."""
     arrays: dict[str, Any] = {
         "viewshed_sweep": _VERSION, "points": sweep.points, "agent": sweep.agent,
         "dropped_points": sweep.dropped_points,
         "t_ns": sweep.t_ns, "attitude": sweep.attitude, "sensor_height_m": sweep.sensor_height_m,
-        **{name: getattr(sweep, name) for name in _SAVED},
+        **{name: getattr(sweep, name) for name in _OPTIONAL_COLUMNS},
         "world_from_sensor": None if sweep.world_from_sensor is None else sweep.world_from_sensor.as_matrix(),
         "pose_covariance": sweep.pose_covariance, "vehicle_yaw": sweep.vehicle_yaw,
         "infer_sensor": None if sweep.infer_sensor else False,
@@ -198,10 +198,10 @@ def write_npz(sweep: Sweep) -> bytes:
         arrays |= {"open_azimuth": sweep.planar.open_azimuth, "open_m": sweep.planar.max_range_m}
     if sweep.model is not None:
         arrays |= {"model_name": sweep.model.name, "model_source": sweep.model.source}
-        arrays |= {f"model_{key}": getattr(sweep.model, key) for key in _BEAMS}
+        arrays |= {f"model_{key}": getattr(sweep.model, key) for key in _BEAM_ARRAYS}
         arrays |= {} if sweep.model.fires_rings else {"model_fires_no_rings": True}
         arrays |= {"model_reach_m": sweep.model.reach_m, "model_reach_source": sweep.model.reach_source}
-        arrays["model_limits"] = np.array([getattr(sweep.model, key) for key in _LIMITS], dtype=np.float64)
+        arrays["model_limits"] = np.array([getattr(sweep.model, key) for key in _MODEL_LIMITS], dtype=np.float64)
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED, compresslevel=4) as archive:
         for name, value in arrays.items():

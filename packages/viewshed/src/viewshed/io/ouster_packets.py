@@ -1,9 +1,9 @@
-"""Ouster's lidar packets and captures: from UDP payloads and the sensor's metadata to revolutions; numpy alone.
+"""Decode Ouster's lidar packets and captures (UDP payloads and the sensor's metadata) to revolutions, in numpy.
 
-The metadata of a capture lie in the ``.json`` beside it.
+The metadata of a capture are in the ``.json`` file beside it.
 
-Layouts as in Ouster's software user manual ("Lidar Data Packet Format"), geometry as in its "Lidar Range to XYZ"; tests
-hold both against ouster-sdk.
+Layouts follow Ouster's software user manual ("Lidar Data Packet Format"), geometry its "Lidar Range to XYZ"; tests
+compare both with ouster-sdk.
 """
 
 from __future__ import annotations
@@ -23,22 +23,22 @@ from viewshed.io._input import InputFile, one_line
 from viewshed.io.velodyne import udp_payloads
 from viewshed.sensors import LidarModel
 
-_ROWS_MAX, _COLUMNS_MAX, _PIXELS_MAX = 512, 8192, 1 << 19  # 128 beams at 4096 columns; tables take 48 bytes a pixel
+_MAX_ROWS, _MAX_COLUMNS, _MAX_PIXELS = 512, 8192, 1 << 19  # 128 beams at 4096 columns; tables take 48 bytes a pixel
 
 
 @dataclass(frozen=True, slots=True)
 class PacketLayout:
-    """The bytes of a lidar packet: a header, columns (a header, pixels, a footer each), a footer."""
+    """Byte layout of a lidar packet: a header, columns (each with header, pixels and footer), a footer."""
 
-    pixel: int  # bytes of a pixel; its first (or strongest) return is read
-    range: str = "<u4"  # type of the range at byte 0 of a pixel
-    range_bits: int = 19  # how many of its bits are the range
-    unit_mm: int = 1  # what one of the range stands for
-    reflectivity: int = 4  # byte of the pixel where its reflectivity stands, one byte
-    signal: int | None = 6  # byte where its signal stands, two bytes; None where it has none
-    frame: tuple[int, str] = (2, "<u2")  # byte of the packet and type of the revolution's number
-    # bytes of the packet at which the number of the sensor's start (three bytes) and its serial number (five) stand;
-    # None where it names no sender
+    pixel: int  # bytes a pixel; only its first (or strongest) return is read
+    range: str = "<u4"  # dtype of the range at byte 0 of a pixel
+    range_bits: int = 19  # number of low bits that are the range
+    unit_mm: int = 1  # millimeters a count of range
+    reflectivity: int = 4  # byte offset of the reflectivity in a pixel, one byte
+    signal: int | None = 6  # byte offset of the signal, two bytes; None if absent
+    frame: tuple[int, str] = (2, "<u2")  # byte offset in the packet and dtype of the frame number
+    # byte offsets in the packet of the initialization id (three bytes) and the serial number (five bytes); None if
+    # absent
     sender: tuple[int, int] | None = (4, 7)
     header: int = 32  # bytes
     column_header: int = 12  # bytes
@@ -67,49 +67,49 @@ PROFILES = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OusterMetadata:
-    """What the sensor's metadata say of its packets and beams; the highest beam first."""
+    """Metadata of a sensor: packet layout and beam geometry; the highest beam first."""
 
-    profile: PacketLayout  # layout of the packets
-    columns: int  # of a revolution
-    columns_per_packet: int  # of a packet
-    window: tuple[int, int]  # first and last column that is measured; the first may be behind the last
+    profile: PacketLayout  # packet layout
+    columns: int  # columns a revolution
+    columns_per_packet: int  # columns a packet
+    window: tuple[int, int]  # first and last measured column; the window wraps around if first > last
     altitude: NDArray[np.float64]  # (rows,) float64 radians above the sensor's horizon
-    azimuth: NDArray[np.float64]  # (rows,) float64 radians by which a beam is turned from its column, counter-clockwise
-    origin_mm: tuple[float, float]  # where a beam starts in the plane of its column: distance from the axis, and height
+    azimuth: NDArray[np.float64]  # (rows,) float64 radians from the column to the beam, counter-clockwise
+    origin_mm: tuple[float, float]  # beam origin in the plane of its column: distance from the axis, height
     sensor_from_lidar: NDArray[np.float64]  # (4, 4) float64, millimeters
-    product: str  # name of the product line
-    start: int  # number of the sensor's start, 0 where it is not given
-    serial: int  # serial number, 0 where it is not given
+    product: str  # product line
+    start: int  # initialization id, 0 if unknown
+    serial: int  # serial number, 0 if unknown
 
     @classmethod
     def parse(cls, text: str) -> OusterMetadata:
-        """Return the metadata in a JSON text, of any firmware from 1.13 on.
+        """Parse the metadata JSON of any firmware from 1.13 on.
 
         Raises:
-            ValueError: it is no JSON, something is missing or out of range, or the profile is not known.
+            ValueError: it is not JSON, a value is missing or out of range, or the profile is unknown.
         """
         try:
-            found = json.loads(text)
+            metadata = json.loads(text)
         except (ValueError, RecursionError) as error:
             raise ValueError(f"is no JSON: {one_line(error, 80)}") from error
-        if not isinstance(found, dict):
-            raise ValueError(f"must be an object, got {type(found).__name__}")
-        # Newer firmware sorts the same entries into sections.
+        if not isinstance(metadata, dict):
+            raise ValueError(f"must be an object, got {type(metadata).__name__}")
+        # Newer firmware groups the same entries in sections.
         groups = ("sensor_info", "beam_intrinsics", "lidar_intrinsics")
-        flat = {**found, **{key: value for group in groups for key, value in _section(found, group).items()}}
-        layout = _section(found, "data_format") or _section(found, "lidar_data_format")
+        flat = {**metadata, **{key: value for group in groups for key, value in _section(metadata, group).items()}}
+        layout = _section(metadata, "data_format") or _section(metadata, "lidar_data_format")
         altitude, azimuth = _numbers(flat, "beam_altitude_angles"), _numbers(flat, "beam_azimuth_angles")
-        rows = _whole(layout, "pixels_per_column", len(altitude), _ROWS_MAX)
+        rows = _integer(layout, "pixels_per_column", len(altitude), _MAX_ROWS)
         if len(altitude) != rows or len(azimuth) != rows:
             raise ValueError(f"must name {rows} beam angles of each kind, got {len(altitude)} and {len(azimuth)}")
-        columns = _whole(layout, "columns_per_frame", _columns_of_mode(flat), _COLUMNS_MAX)
-        if rows * columns > _PIXELS_MAX:
-            raise ValueError(f"a revolution must have at most {_PIXELS_MAX} pixels, got {rows} × {columns}")
+        columns = _integer(layout, "columns_per_frame", _columns_of_mode(flat), _MAX_COLUMNS)
+        if rows * columns > _MAX_PIXELS:
+            raise ValueError(f"a revolution must have at most {_MAX_PIXELS} pixels, got {rows} × {columns}")
         profile = layout.get("udp_profile_lidar", "LEGACY")
         if not isinstance(profile, str) or profile not in PROFILES:
             raise ValueError(f"udp_profile_lidar must be one of {', '.join(PROFILES)}, got {one_line(profile, 40)}")
         return cls(
-            PROFILES[profile], columns, _whole(layout, "columns_per_packet", 16, _COLUMNS_MAX),
+            PROFILES[profile], columns, _integer(layout, "columns_per_packet", 16, _MAX_COLUMNS),
             _window(layout, columns), np.deg2rad(altitude), -np.deg2rad(azimuth), _origin_mm(flat),
             _transform(flat, "lidar_to_sensor_transform", _SENSOR_FROM_LIDAR), str(flat.get("prod_line", "")),
             _number_or_0(flat, "initialization_id"), _number_or_0(flat, "prod_sn"),
@@ -117,20 +117,20 @@ class OusterMetadata:
 
 
 _SENSOR_FROM_LIDAR = (-1, 0, 0, 0, 0, -1, 0, 0, 0, 0, 1, 36.18, 0, 0, 0, 1)
-"""Of sensors whose metadata do not say it."""
+"""Default if the metadata lack ``lidar_to_sensor_transform``."""
 
 
-def _section(found: dict[str, Any], name: str) -> dict[str, Any]:
-    section = found.get(name, {})
+def _section(metadata: dict[str, Any], name: str) -> dict[str, Any]:
+    section = metadata.get(name, {})
     if not isinstance(section, dict):
         raise ValueError(f"{name} must be an object, got {type(section).__name__}")
     return section
 
 
-def _numbers(found: dict[str, Any], name: str) -> NDArray[np.float64]:
-    values = found.get(name)
-    if not isinstance(values, list) or not 1 <= len(values) <= _ROWS_MAX or not all(map(_is_finite, values)):
-        raise ValueError(f"{name} must be a list of 1 to {_ROWS_MAX} numbers")
+def _numbers(metadata: dict[str, Any], name: str) -> NDArray[np.float64]:
+    values = metadata.get(name)
+    if not isinstance(values, list) or not 1 <= len(values) <= _MAX_ROWS or not all(map(_is_finite, values)):
+        raise ValueError(f"{name} must be a list of 1 to {_MAX_ROWS} numbers")
     return np.array(values, np.float64)
 
 
@@ -138,39 +138,39 @@ def _is_finite(value: object) -> bool:
     return isinstance(value, int | float) and bool(abs(value) < 1e6)
 
 
-def _whole(found: dict[str, Any], name: str, otherwise: int, most: int) -> int:
-    value = found.get(name, otherwise)
-    if not isinstance(value, int) or not 1 <= value <= most:
-        raise ValueError(f"{name} must be a whole number in [1, {most}], got {one_line(value, 40)}")
+def _integer(metadata: dict[str, Any], name: str, default: int, maximum: int) -> int:
+    value = metadata.get(name, default)
+    if not isinstance(value, int) or not 1 <= value <= maximum:
+        raise ValueError(f"{name} must be a whole number in [1, {maximum}], got {one_line(value, 40)}")
     return value
 
 
-def _columns_of_mode(found: dict[str, Any]) -> int:
-    """Return the columns that a mode such as 1024x10 names."""
-    columns = str(found.get("lidar_mode", "")).partition("x")[0]
+def _columns_of_mode(metadata: dict[str, Any]) -> int:
+    """Return the number of columns of a ``lidar_mode`` such as 1024x10, 0 if unknown."""
+    columns = str(metadata.get("lidar_mode", "")).partition("x")[0]
     return int(columns) if columns.isascii() and columns.isdigit() and len(columns) < 6 else 0
 
 
 def _window(layout: dict[str, Any], columns: int) -> tuple[int, int]:
     window = layout.get("column_window", [0, columns - 1])
     fits = isinstance(window, list) and len(window) == 2
-    if not fits or not all(isinstance(each, int) and 0 <= each < columns for each in window):
+    if not fits or not all(isinstance(column, int) and 0 <= column < columns for column in window):
         raise ValueError(f"column_window must be two columns in [0, {columns}), got {one_line(window, 40)}")
     return window[0], window[1]
 
 
-def _origin_mm(found: dict[str, Any]) -> tuple[float, float]:
-    if "beam_to_lidar_transform" in found:
-        transform = _transform(found, "beam_to_lidar_transform", ())
+def _origin_mm(metadata: dict[str, Any]) -> tuple[float, float]:
+    if "beam_to_lidar_transform" in metadata:
+        transform = _transform(metadata, "beam_to_lidar_transform", ())
         return float(transform[0, 3]), float(transform[2, 3])
-    radius_mm = found.get("lidar_origin_to_beam_origin_mm")
+    radius_mm = metadata.get("lidar_origin_to_beam_origin_mm")
     if not _is_finite(radius_mm):
         raise ValueError(f"lidar_origin_to_beam_origin_mm must be a number, got {one_line(radius_mm, 40)}")
     return float(radius_mm), 0.0  # type: ignore[arg-type]
 
 
-def _transform(found: dict[str, Any], name: str, otherwise: tuple[float, ...]) -> NDArray[np.float64]:
-    values = found.get(name, otherwise)
+def _transform(metadata: dict[str, Any], name: str, default: tuple[float, ...]) -> NDArray[np.float64]:
+    values = metadata.get(name, default)
     if len(values) != 16 if isinstance(values, list | tuple) else True:
         raise ValueError(f"{name} must be 16 numbers, got {one_line(values, 40)}")
     if not all(map(_is_finite, values)):
@@ -178,9 +178,9 @@ def _transform(found: dict[str, Any], name: str, otherwise: tuple[float, ...]) -
     return np.array(values, np.float64).reshape(4, 4)
 
 
-def _number_or_0(found: dict[str, Any], name: str) -> int:
-    """Return a whole number, or the digits of a text."""
-    text = str(found.get(name, ""))
+def _number_or_0(metadata: dict[str, Any], name: str) -> int:
+    """Return a non-negative integer, given as number or text; 0 if it is missing or invalid."""
+    text = str(metadata.get(name, ""))
     return int(text) if text.isascii() and text.isdigit() and len(text) < 16 else 0
 
 
@@ -188,8 +188,8 @@ class OusterDecoder:
     """Decodes the packets of one sensor, revolution by revolution.
 
     Args:
-        metadata: the sensor's.
-        frame: ``sensor_from_columns`` that the columns are given.
+        metadata: of the sensor.
+        frame: ``sensor_from_columns`` of the returned columns.
     """
 
     def __init__(self, metadata: OusterMetadata, frame: Rigid = IDENTITY) -> None:
@@ -202,92 +202,93 @@ class OusterDecoder:
 
     @property
     def packet_bytes(self) -> int:
-        """Length of a lidar packet; other packets are of another kind or of another sensor."""
+        """Length of a lidar packet; packets of another length are of another kind or sensor."""
         return self._packet.itemsize
 
     def frame_number(self, packet: bytes) -> int | None:
-        """Return the number of the revolution that a packet belongs to; None if it is no lidar packet of the sensor."""
+        """Return the frame (revolution) number of a packet; None if it is no lidar packet of this sensor."""
         profile = self.metadata.profile
         if len(packet) != self.packet_bytes:
             return None
         if profile.sender is not None:
             start, serial = (
-                int.from_bytes(packet[at : at + size], "little")
-                for at, size in zip(profile.sender, (3, 5), strict=True)
+                int.from_bytes(packet[offset : offset + size], "little")
+                for offset, size in zip(profile.sender, (3, 5), strict=True)
             )
-            known = ((start, self.metadata.start), (serial, self.metadata.serial))
-            if any(one and other and one != other for one, other in known):
+            # An id of 0 is unknown and matches any sensor.
+            pairs = ((start, self.metadata.start), (serial, self.metadata.serial))
+            if any(received and expected and received != expected for received, expected in pairs):
                 return None
-        at, kind = profile.frame
-        return int.from_bytes(packet[at : at + np.dtype(kind).itemsize], "little")
+        offset, kind = profile.frame
+        return int.from_bytes(packet[offset : offset + np.dtype(kind).itemsize], "little")
 
     def revolutions(self, packets: Iterable[bytes]) -> Iterator[Columns]:
-        """Yield the revolutions of packets in their order; incomplete ones only where there is no other.
+        """Yield the complete revolutions of packets in order; if there is none, the last incomplete one.
 
-        Late packets of the revolution before are left out, and so is what is not a lidar packet of this sensor.
+        Late packets of the previous revolution are dropped, and so are packets that are not of this sensor.
 
         Raises:
-            ValueError: there is no such packet.
+            ValueError: there is no lidar packet of this sensor.
         """
         complete = 0
-        rest = None
-        for together in self.grouped(packets):
-            columns, is_complete = self.decode(together)
+        incomplete = None
+        for group in self.grouped(packets):
+            columns, is_complete = self.decode(group)
             complete += is_complete
             if is_complete:
                 yield columns
             else:
-                rest = columns
-        if rest is None and not complete:
+                incomplete = columns
+        if incomplete is None and not complete:
             raise ValueError("holds no lidar packets that agree with the metadata")
-        if rest is not None and not complete:
-            yield rest
+        if incomplete is not None and not complete:
+            yield incomplete
 
     def grouped(self, packets: Iterable[bytes]) -> Iterator[list[bytes]]:
-        """Yield the packets of one revolution after the other."""
-        together: list[bytes] = []
-        number = last = None
+        """Yield lists of the packets of each revolution."""
+        group: list[bytes] = []
+        current = previous = None
         for packet in packets:
-            of = self.frame_number(packet)
-            if of is None or of == last:
+            number = self.frame_number(packet)
+            if number is None or number == previous:  # no packet of this sensor, or a late one
                 continue
-            if of != number and together:
-                yield together
-                together, last = [], number
-            number = of
-            together.append(packet)
-        if together:
-            yield together
+            if number != current and group:
+                yield group
+                group, previous = [], current
+            current = number
+            group.append(packet)
+        if group:
+            yield group
 
     def decode(self, packets: list[bytes]) -> tuple[Columns, bool]:
-        """Return the returns of the packets of one revolution, column by column, and whether it is complete."""
-        measured = np.frombuffer(b"".join(packets), self._packet)["columns"].reshape(-1)
-        known = ((measured["status"] & 1) > 0) & (measured["number"] < self.metadata.columns)
-        # Of a column that was sent twice the later one counts.
+        """Decode the packets of one revolution; return its returns, column by column, and whether it is complete."""
+        columns = np.frombuffer(b"".join(packets), self._packet)["columns"].reshape(-1)
+        valid = ((columns["status"] & 1) > 0) & (columns["number"] < self.metadata.columns)
+        # If a column was sent twice, the later one is used.
         last = np.full(self.metadata.columns, -1)
-        last[measured["number"][known]] = np.flatnonzero(known)
+        last[columns["number"][valid]] = np.flatnonzero(valid)
         numbers = np.flatnonzero(last >= 0)
-        measured = measured[last[numbers]]
-        pixels, profile = measured["pixels"], self.metadata.profile
+        columns = columns[last[numbers]]
+        pixels, profile = columns["pixels"], self.metadata.profile
         range_mm = (pixels["range"] & (2**profile.range_bits - 1)).astype(np.float64) * profile.unit_mm
-        at, row = np.nonzero(range_mm)
-        column = numbers[at]
-        points = range_mm[at, row, None] * 1e-3 * self._direction[column, row] + self._start_m[column, row]
-        stamp = measured["stamp"].astype(np.int64)
+        index, row = np.nonzero(range_mm)
+        column = numbers[index]
+        points = range_mm[index, row, None] * 1e-3 * self._direction[column, row] + self._start_m[column, row]
+        stamp = columns["stamp"].astype(np.int64)
         start = int(stamp.min()) if len(stamp) else 0
         return Columns(
-            points.astype(np.float32), pixels["intensity"][at, row].astype(np.float32),
+            points.astype(np.float32), pixels["intensity"][index, row].astype(np.float32),
             ring=self._rank[row].astype(np.int16), azimuth=self._azimuth[column],
-            time_s=((stamp[at] - start) * 1e-9).astype(np.float32), t_ns=start, model=self._model, frame=self.frame,
+            time_s=((stamp[index] - start) * 1e-9).astype(np.float32), t_ns=start, model=self._model, frame=self.frame,
         ), self._is_complete(last >= 0)  # fmt: skip
 
-    def _is_complete(self, known: NDArray[np.bool_]) -> bool:
+    def _is_complete(self, valid: NDArray[np.bool_]) -> bool:
         first, last = self.metadata.window
-        return bool(known[first : last + 1].all() if first <= last else known[first:].all() and known[: last + 1].all())
+        return bool(valid[first : last + 1].all() if first <= last else valid[first:].all() and valid[: last + 1].all())
 
 
 def _packet_type(metadata: OusterMetadata) -> np.dtype[Any]:
-    """Return the structured type of a packet."""
+    """Return the structured dtype of a packet."""
     profile = metadata.profile
     intensity = (profile.reflectivity, "u1") if profile.signal is None else (profile.signal, "<u2")
     pixel = np.dtype({
@@ -296,7 +297,7 @@ def _packet_type(metadata: OusterMetadata) -> np.dtype[Any]:
     })  # fmt: skip
     rows = len(metadata.altitude)
     pixels_end = profile.column_header + rows * profile.pixel
-    # Whether a column is valid stands after its pixels in the oldest layout, in its header since.
+    # The status of a column follows its pixels in the legacy layout, and is in its header in all others.
     status = (pixels_end, "<u4") if profile.column_footer else (10, "<u2")
     column = np.dtype({
         "names": ["stamp", "number", "status", "pixels"], "formats": ["<u8", "<u2", status[1], (pixel, (rows,))],
@@ -310,15 +311,16 @@ def _packet_type(metadata: OusterMetadata) -> np.dtype[Any]:
 
 
 def _beams(metadata: OusterMetadata) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the directions (columns, rows, 3) of the beams in the sensor's frame, and where range 0 lies in meters."""
-    turn = 2 * np.pi * (1 - np.arange(metadata.columns) / metadata.columns)[:, None]
-    azimuth, altitude = turn + metadata.azimuth, np.broadcast_to(metadata.altitude, (len(turn), len(metadata.altitude)))
+    """Return the beam directions (columns, rows, 3) in the sensor's frame, and their points at range 0 in meters."""
+    angle = 2 * np.pi * (1 - np.arange(metadata.columns) / metadata.columns)[:, None]
+    azimuth = angle + metadata.azimuth
+    altitude = np.broadcast_to(metadata.altitude, azimuth.shape)
     direction = np.stack(
         [np.cos(azimuth) * np.cos(altitude), np.sin(azimuth) * np.cos(altitude), np.sin(altitude)], axis=-1
     )
-    # Ranges count from the axis: a beam starts that much farther out.
+    # Ranges count from the lidar origin, not from the beam origin: subtract the distance between them.
     out_mm, up_mm = metadata.origin_mm
-    origin_mm = np.stack([out_mm * np.cos(turn), out_mm * np.sin(turn), np.full_like(turn, up_mm)], axis=-1)
+    origin_mm = np.stack([out_mm * np.cos(angle), out_mm * np.sin(angle), np.full_like(angle, up_mm)], axis=-1)
     start_mm = origin_mm - direction * np.hypot(out_mm, up_mm)
     rotation, translation = metadata.sensor_from_lidar[:3, :3], metadata.sensor_from_lidar[:3, 3]
     return direction @ rotation.T, (start_mm @ rotation.T + translation) * 1e-3
@@ -329,37 +331,37 @@ _RANGES_M: dict[str, tuple[float, float | None, str]] = {
     "OS-1": (120.0, 45.0, "Ouster OS1 datasheet, 10 % target"),
     "OS-2": (240.0, 80.0, "Ouster OS2 datasheet, 10 % target"),
 }
-"""Beginning of the product line → maximum range, reach and where the reach comes from; the metadata tell neither."""
+"""First letters of the product line → maximum range, reach and source of the reach; the metadata state neither."""
 
 
 def _model(metadata: OusterMetadata) -> LidarModel | None:
-    """Return the beams as the metadata describe them, or None where two beams share one elevation."""
+    """Return the beam table of the metadata, or None if two beams have the same elevation."""
     order = np.argsort(metadata.altitude)
     altitude = metadata.altitude[order]
     if (np.diff(altitude) <= 0).any():
         return None
-    # Beams start on a circle around the axis, so that they meet the axis below the height at which they start.
+    # Beams start on a circle around the axis; extended backward, they meet the axis at another height.
     shift_m = float(metadata.sensor_from_lidar[2, 3]) * 1e-3
-    most_m, reach_m, source = _RANGES_M.get(metadata.product[:4], (300.0, None, ""))
+    max_range_m, reach_m, source = _RANGES_M.get(metadata.product[:4], (300.0, None, ""))
     return LidarModel(
         name=metadata.product or "Ouster", elevation=altitude, azimuth_columns=metadata.columns,
         azimuth_offset=metadata.azimuth[order],
-        origin_m=shift_m - float(metadata.origin_mm[0]) * 1e-3 * np.tan(altitude), min_range_m=0.3, max_range_m=most_m,
-        source="metadata of the sensor", reach_m=reach_m, reach_source=source,
+        origin_m=shift_m - float(metadata.origin_mm[0]) * 1e-3 * np.tan(altitude), min_range_m=0.3,
+        max_range_m=max_range_m, source="metadata of the sensor", reach_m=reach_m, reach_source=source,
     )  # fmt: skip
 
 
 def _column_azimuth(columns: int) -> NDArray[np.float32]:
-    """Return the encoder's angle of each column in the sensor's frame: 2 π (1 - column / columns) + π, clockwise."""
+    """Return the encoder angle of each column in the sensor's frame: 2 π (1 - column / columns) + π, clockwise."""
     angle = np.pi - 2 * np.pi * np.arange(columns) / columns
     return np.where(angle <= -np.pi, angle + 2 * np.pi, angle).astype(np.float32)
 
 
-_METADATA_BYTES = 1_000_000
+_MAX_METADATA_BYTES = 1_000_000
 
 
 def metadata_path(path: str) -> Path:
-    """Return where the metadata of a capture lies: the same name with ``.json``.
+    """Return the path of the metadata of a capture: the same name with suffix ``.json``.
 
     >>> metadata_path("drive/a.pcap.gz").as_posix()
     'drive/a.json'
@@ -369,9 +371,9 @@ def metadata_path(path: str) -> Path:
 
 
 def read_ouster(source: InputFile, frame: Rigid | None) -> Iterator[Columns]:
-    """Yield the revolutions of an Ouster capture, in the sensor's frame; incomplete ones only where there is no other.
+    """Yield the complete revolutions of an Ouster capture in the sensor's frame; if there is none, an incomplete one.
 
-    Ring 0 is the lowest beam; azimuth is the encoder's angle of the column, without the beams' own offsets.
+    Ring 0 is the lowest beam; azimuth is the encoder angle of the column, without the azimuth offset of each beam.
     """
     content = source.content()
     metadata = read_metadata(metadata_path(source.path))
@@ -380,18 +382,18 @@ def read_ouster(source: InputFile, frame: Rigid | None) -> Iterator[Columns]:
 
 
 def read_metadata(path: Path) -> OusterMetadata:
-    """Return the metadata in a file.
+    """Read a metadata file.
 
     Raises:
-        ValueError: it is not there, too large, or no metadata.
+        ValueError: it is missing, too large, or not Ouster metadata.
     """
     try:
         with path.open("rb") as file:
-            raw = file.read(_METADATA_BYTES + 1)
+            raw = file.read(_MAX_METADATA_BYTES + 1)
     except OSError as error:
         raise ValueError(f"an Ouster capture needs its metadata in {path.name}: {error.strerror}") from error
-    if len(raw) > _METADATA_BYTES:
-        raise ValueError(f"{path.name} must be at most {_METADATA_BYTES} bytes of Ouster metadata")
+    if len(raw) > _MAX_METADATA_BYTES:
+        raise ValueError(f"{path.name} must be at most {_MAX_METADATA_BYTES} bytes of Ouster metadata")
     try:
         return OusterMetadata.parse(raw.decode("utf-8"))
     except ValueError as error:

@@ -12,32 +12,32 @@ from numpy.typing import NDArray
 
 from viewshed import _core
 from viewshed.geometry import Rigid
-from viewshed.io._columns import MARK, WANTED, Columns, columns_of_table, number_columns, table_of_sweep
+from viewshed.io._columns import KNOWN_COLUMNS, MARK, Columns, columns_of_table, number_columns, table_of_sweep
 from viewshed.io._input import InputFile
 from viewshed.sweep import MAX_POINTS, Sweep
 
-_HEADER_BYTES = 65_536
+_MAX_HEADER_BYTES = 65_536
 
-_KINDS = {"F": {4, 8}, "I": {1, 2, 4, 8}, "U": {1, 2, 4, 8}}
+_SIZES = {"F": {4, 8}, "I": {1, 2, 4, 8}, "U": {1, 2, 4, 8}}
 
-_LZF_RATIO = 100
+_MAX_LZF_RATIO = 100
 
-_SLACK_BYTES = 65_536  # the Point Cloud Library fills the last memory page
+_MAX_PADDING_BYTES = 65_536  # the Point Cloud Library pads to a full memory page
 
-_ROW_BYTES = 1 << 20
+_MAX_POINT_BYTES = 1 << 20
 
 
 class _Column(NamedTuple):
-    """A column that is read: its type, its byte in a point, and its place in a line of text."""
+    """A column to read: its type, its byte offset in a point, and its position in a line of text."""
 
     kind: str
     byte: int
-    place: int
+    position: int
 
 
 @dataclass(frozen=True, slots=True)
 class _Header:
-    """What the header says: the columns that are read, bytes and numbers of a point, points, where the data start."""
+    """Parsed header: columns to read, bytes and numbers a point, number of points, and start of the data in bytes."""
 
     columns: dict[str, _Column]
     row_bytes: int
@@ -49,21 +49,21 @@ class _Header:
 
 
 def read_pcd(source: InputFile, frame: Rigid | None) -> Iterator[Columns]:
-    """Yield the one sweep of a PCD file; an organized cloud is read row by row, its NaN points are dropped later."""
+    """Yield the sweep of a PCD file; organized clouds are flattened row by row, and NaN points dropped later."""
     content = source.content()
     header = _parse_header(content)
-    yield columns_of_table(_BODIES[header.data](content, header), frame, ours=header.ours)
+    yield columns_of_table(_DECODERS[header.data](content, header), frame, ours=header.ours)
 
 
 def _parse_header(content: bytes) -> _Header:
-    """Return the header; every number in it is checked against the file where it is used."""
+    """Parse the header; its numbers are checked against the file where they are used."""
     entries: dict[str, list[str]] = {}
     ours = False
     start = 0
     while "DATA" not in entries:
-        end = content.find(b"\n", start, _HEADER_BYTES)
+        end = content.find(b"\n", start, _MAX_HEADER_BYTES)
         if end < 0:
-            raise ValueError(f"PCD header has no DATA line in its first {_HEADER_BYTES} bytes")
+            raise ValueError(f"PCD header has no DATA line in its first {_MAX_HEADER_BYTES} bytes")
         line = content[start:end].decode("ascii", "replace").strip()
         start = end + 1
         ours = ours or line == f"# {MARK}"
@@ -71,8 +71,8 @@ def _parse_header(content: bytes) -> _Header:
             key, *values = line.split()
             entries[key.upper()] = values
     data = " ".join(entries["DATA"][:1]).lower()
-    if data not in _BODIES:
-        raise ValueError(f"PCD DATA must be {', '.join(_BODIES)}, got {data!r}")
+    if data not in _DECODERS:
+        raise ValueError(f"PCD DATA must be {', '.join(_DECODERS)}, got {data!r}")
     columns, row_bytes, numbers = _columns(entries)
     if "POINTS" in entries:
         count = _number(entries, "POINTS", 0)
@@ -91,59 +91,59 @@ def _number(entries: dict[str, list[str]], key: str, index: int) -> int:
 
 
 def _columns(entries: dict[str, list[str]]) -> tuple[dict[str, _Column], int, int]:
-    """Return the columns that are read, the first of each name; and how many bytes and numbers a point has."""
+    """Return the columns to read (the first of each name), and the number of bytes and of numbers of a point."""
     names, kinds = entries.get("FIELDS", []), entries.get("TYPE", [])
     counts = entries.get("COUNT", ["1"] * len(names))
     if not names or not len(names) == len(kinds) == len(counts) == len(entries.get("SIZE", [])):
         raise ValueError("PCD header lines FIELDS, SIZE, TYPE and COUNT must be of one length")
     columns: dict[str, _Column] = {}
-    byte = place = 0
+    byte = position = 0
     for index, (name, kind) in enumerate(zip(names, kinds, strict=True)):
         size = _number(entries, "SIZE", index)
         count = _number(entries, "COUNT", index) if "COUNT" in entries else 1
-        if size not in _KINDS.get(kind.upper(), set()) or count > _HEADER_BYTES:
+        if size not in _SIZES.get(kind.upper(), set()) or count > _MAX_HEADER_BYTES:
             raise ValueError(f"PCD field {name!r} has unknown TYPE {kind!r}, SIZE {size} or COUNT {count}")
-        if count == 1 and name.lower() in WANTED:
-            columns.setdefault(name.lower(), _Column(f"<{kind.lower()}{size}", byte, place))
-        byte, place = byte + size * count, place + count
-    if byte > _ROW_BYTES:
-        raise ValueError(f"PCD points must have at most {_ROW_BYTES} bytes each, got {byte}")
-    return columns, byte, place
+        if count == 1 and name.lower() in KNOWN_COLUMNS:
+            columns.setdefault(name.lower(), _Column(f"<{kind.lower()}{size}", byte, position))
+        byte, position = byte + size * count, position + count
+    if byte > _MAX_POINT_BYTES:
+        raise ValueError(f"PCD points must have at most {_MAX_POINT_BYTES} bytes each, got {byte}")
+    return columns, byte, position
 
 
 def _ascii(content: bytes, header: _Header) -> Mapping[str, NDArray[Any]]:
-    wanted = {name: column.place for name, column in header.columns.items()}
-    return number_columns(content, header.start, header.points, header.numbers, wanted)
+    positions = {name: column.position for name, column in header.columns.items()}
+    return number_columns(content, header.start, header.points, header.numbers, positions)
 
 
 def _binary(content: bytes, header: _Header) -> Mapping[str, NDArray[Any]]:
-    held, needed = len(content) - header.start, header.points * header.row_bytes
-    if held < needed:
-        raise ValueError(f"PCD data is cut off: {header.points} points need {needed} bytes, the file holds {held}")
-    if held - needed > _SLACK_BYTES:
-        raise ValueError(f"PCD header is wrong: {header.points} points need {needed} bytes, the file holds {held}")
-    kinds, bytes_at, _ = zip(*header.columns.values(), strict=True) if header.columns else ((), (), ())
+    available, needed = len(content) - header.start, header.points * header.row_bytes
+    if available < needed:
+        raise ValueError(f"PCD data is cut off: {header.points} points need {needed} bytes, the file holds {available}")
+    if available - needed > _MAX_PADDING_BYTES:
+        raise ValueError(f"PCD header is wrong: {header.points} points need {needed} bytes, the file holds {available}")
+    kinds, offsets, _ = zip(*header.columns.values(), strict=True) if header.columns else ((), (), ())
     kind = np.dtype({
-        "names": list(header.columns), "formats": kinds, "offsets": bytes_at, "itemsize": header.row_bytes,
+        "names": list(header.columns), "formats": kinds, "offsets": offsets, "itemsize": header.row_bytes,
     })  # fmt: skip
     rows = np.ndarray(header.points, kind, content, header.start)
     return {name: rows[name] for name in header.columns}
 
 
 def _compressed(content: bytes, header: _Header) -> Mapping[str, NDArray[Any]]:
-    """Return the columns of an LZF block that holds one field after the other."""
-    held, needed = len(content) - header.start - 8, header.points * header.row_bytes
-    if held < 0:
+    """Return the columns of an LZF block, which stores field after field."""
+    available, needed = len(content) - header.start - 8, header.points * header.row_bytes
+    if available < 0:
         raise ValueError("PCD data is cut off before its two sizes")
     packed, unpacked = (int(n) for n in np.frombuffer(content, "<u4", 2, header.start))
-    if packed > held:
-        raise ValueError(f"PCD data is cut off: it should hold {packed} compressed bytes, got {held}")
-    if unpacked != needed or unpacked > _LZF_RATIO * packed:
+    if packed > available:
+        raise ValueError(f"PCD data is cut off: it should hold {packed} compressed bytes, got {available}")
+    if unpacked != needed or unpacked > _MAX_LZF_RATIO * packed:
         raise ValueError(
             f"PCD sizes do not agree: {header.points} points are {needed} bytes, got {unpacked} from {packed}"
         )
     data = np.empty(unpacked, np.uint8)
-    # liblzf's stream, which the core decodes without leaving either array; -1 where it is damaged.
+    # The core decodes liblzf's stream with bounds checks and returns -1 if it is damaged.
     written = _core.unpack_lzf(np.frombuffer(content, np.uint8, packed, header.start + 8), data)
     if written != unpacked:
         raise ValueError("PCD compressed data is damaged")
@@ -153,11 +153,11 @@ def _compressed(content: bytes, header: _Header) -> Mapping[str, NDArray[Any]]:
     }
 
 
-_BODIES = {"ascii": _ascii, "binary": _binary, "binary_compressed": _compressed}
+_DECODERS = {"ascii": _ascii, "binary": _binary, "binary_compressed": _compressed}
 
 
 def write_pcd(sweep: Sweep) -> bytes:
-    """Return a binary PCD 0.7 file with every column that the sweep has."""
+    """Encode a sweep as a binary PCD 0.7 file, with all its columns."""
     table = table_of_sweep(sweep)
     names = table.dtype.names or ()
     kinds = [table.dtype[name] for name in names]

@@ -1,4 +1,4 @@
-"""Headerless float32 rows: KITTI ``.bin`` (x, y, z, intensity) and nuScenes ``.pcd.bin`` (and ring)."""
+"""Headerless float32 rows: KITTI ``.bin`` (x, y, z, intensity) and nuScenes ``.pcd.bin`` (the same and ring)."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from viewshed.io._input import InputFile
 from viewshed.sweep import MAX_POINTS, Sweep
 
 _CHUNK_ROWS = 8_192
-"""Number of rows that stay in the nearest cache between reading and splitting."""
+"""Number of rows that stay in the CPU cache between reading and splitting."""
 
 _LOCAL = threading.local()
 
@@ -26,33 +26,33 @@ _MICROSECONDS = re.compile(r"__(\d{16})\.pcd\.bin$")
 
 
 def read_kitti(source: InputFile, frame: Rigid | None) -> Iterator[Columns]:
-    """Yield the one sweep of a KITTI ``.bin`` file."""
+    """Yield the sweep of a KITTI ``.bin`` file."""
     rows = _rows(source, 4)
     block = np.empty(4 * rows, np.float32)
     points, intensity = block[: 3 * rows], block[3 * rows :]
-    for buffer, start, stop in _filled(source, rows, 4):
+    for buffer, start, stop in _chunks(source, rows, 4):
         _core.split_xyzi(buffer, points[3 * start : 3 * stop], intensity[start:stop])
     yield Columns(points.reshape(rows, 3), intensity, frame=IDENTITY if frame is None else frame)
 
 
 def read_nuscenes(source: InputFile, frame: Rigid | None) -> Iterator[Columns]:
-    """Yield the one sweep of a nuScenes ``.pcd.bin`` file; its time is the one in nuScenes' file names."""
+    """Yield the sweep of a nuScenes ``.pcd.bin`` file; its time is read from the file name."""
     rows = _rows(source, 5)
     block = np.empty(9 * rows, np.int16)
     floats, ring = block[: 8 * rows].view(np.float32), block[8 * rows :]
     points, intensity = floats[: 3 * rows], floats[3 * rows :]
     bad = 0
-    for buffer, start, stop in _filled(source, rows, 5):
+    for buffer, start, stop in _chunks(source, rows, 5):
         bad += _core.split_xyzir(
             buffer, points[3 * start : 3 * stop], intensity[start:stop], ring[start:stop], frame is None
         )
     if bad and source.size % 16 == 0:
         raise ValueError(f"the fifth column must be whole ring numbers, {bad} of {rows} are not; is it nuScenes?")
-    named = _MICROSECONDS.search(source.name)
+    match = _MICROSECONDS.search(source.name)
     yield Columns(
         points.reshape(rows, 3), intensity, None if bad else ring,
         left_out=(f"ring is left out: {bad} of {rows} are no whole numbers",) if bad else (),
-        t_ns=int(named[1]) * 1000 if named else None, frame=IDENTITY if frame is None else frame,
+        t_ns=int(match[1]) * 1000 if match else None, frame=IDENTITY if frame is None else frame,
     )  # fmt: skip
 
 
@@ -68,10 +68,10 @@ def _rows(source: InputFile, columns: int) -> int:
     return rows
 
 
-def _filled(source: InputFile, rows: int, columns: int) -> Iterator[tuple[NDArray[np.float32], int, int]]:
-    """Yield this thread's buffer, filled with some rows, and the numbers of the first and after the last of them.
+def _chunks(source: InputFile, rows: int, columns: int) -> Iterator[tuple[NDArray[np.float32], int, int]]:
+    """Yield a buffer of this thread, filled with the rows start to stop, and start and stop.
 
-    The buffer is kept because fresh memory costs more than reading.
+    The buffer is reused because allocating fresh memory costs more than reading.
     """
     buffer: NDArray[np.float32] | None = getattr(_LOCAL, "buffer", None)
     if buffer is None:
@@ -89,10 +89,10 @@ def _filled(source: InputFile, rows: int, columns: int) -> Iterator[tuple[NDArra
 
 
 def columns_of_bin(source: InputFile) -> int:
-    """Return 4 or 5: how many float32 columns a nameless ``.bin`` file has, judged by its size and its first rows.
+    """Detect the number of float32 columns (4 or 5) of a ``.bin`` file by its size and its first rows.
 
     Raises:
-        ValueError: neither fits, or both do.
+        ValueError: neither or both are plausible.
     """
     sample = source.file.read(_SAMPLE_BYTES)
     source.file.seek(0)
@@ -109,7 +109,7 @@ def columns_of_bin(source: InputFile) -> int:
 
 
 def write_kitti(sweep: Sweep) -> bytes:
-    """Return the rows x, y, z, intensity (0 where it is not known) as little-endian float32."""
+    """Return rows of x, y, z, intensity (0 if unknown) as little-endian float32."""
     rows = np.zeros((len(sweep), 4), "<f4")
     rows[:, :3] = sweep.points
     if sweep.intensity is not None:
@@ -118,7 +118,7 @@ def write_kitti(sweep: Sweep) -> bytes:
 
 
 def write_nuscenes(sweep: Sweep) -> bytes:
-    """Return the rows x, y, z, intensity, ring in nuScenes' frame as little-endian float32.
+    """Return rows of x, y, z, intensity, ring in nuScenes' frame as little-endian float32.
 
     Raises:
         ValueError: the sweep has no ring.

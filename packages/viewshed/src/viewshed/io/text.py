@@ -1,4 +1,4 @@
-"""Points as text: CSV, XYZ and the like, a point a line, with the names of the columns above them or without."""
+"""Read text files (CSV, XYZ, ASC): one point a line, with or without a header of column names."""
 
 from __future__ import annotations
 
@@ -6,44 +6,44 @@ import re
 from collections.abc import Iterator
 
 from viewshed.geometry import Rigid
-from viewshed.io._columns import WANTED, Columns, columns_of_table, number_columns
+from viewshed.io._columns import KNOWN_COLUMNS, Columns, columns_of_table, number_columns
 from viewshed.io._input import InputFile
 from viewshed.sweep import MAX_POINTS
 
-_LINE_BYTES = 4096
+_MAX_LINE_BYTES = 4096
 
-_MOST_SKIPPED = 20
-"""Lines of comments above the points."""
+_MAX_HEADER_LINES = 20
+"""Maximum number of lines above the points."""
 
-_WORDS = {"//x": "x", "#x": "x", "x_m": "x", "y_m": "y", "z_m": "z"}
-"""Other names of columns, in lower case."""
+_ALIASES = {"//x": "x", "#x": "x", "x_m": "x", "y_m": "y", "z_m": "z"}
+"""Aliases of column names, in lower case."""
 
-_PLAIN = ("x", "y", "z", "intensity")
-"""Columns of a file that names none."""
+_DEFAULT_COLUMNS = ("x", "y", "z", "intensity")
+"""Columns of a file without header."""
 
 
 def read_text(source: InputFile, frame: Rigid | None) -> Iterator[Columns]:
-    """Yield the one sweep of a text file: numbers with commas, semicolons, tabs or blanks between them, in meters.
+    """Yield the sweep of a text file: meters, separated by commas, semicolons, tabs or blanks.
 
-    Names above them say which is which; without names they are x, y, z and perhaps intensity.
+    A header line names the columns; without one they are x, y, z and optionally intensity.
     """
     content = source.content()
-    start, names = _head(content)
+    start, names = _header(content)
     body = re.sub(rb"[,;\t]", b" ", content[start:])
     rows = body.count(b"\n") + (not body.endswith(b"\n")) - len(re.findall(rb"^[ \r]*\n", body, re.MULTILINE))
     if rows > MAX_POINTS:
         raise ValueError(f"a sweep must have at most {MAX_POINTS} points, got {rows} lines")
-    wanted = {name: at for at, name in enumerate(names) if name in WANTED}
-    yield columns_of_table(number_columns(body, 0, rows, len(names), wanted), frame, ours=False)
+    positions = {name: index for index, name in enumerate(names) if name in KNOWN_COLUMNS}
+    yield columns_of_table(number_columns(body, 0, rows, len(names), positions), frame, ours=False)
 
 
-def _head(content: bytes) -> tuple[int, list[str]]:
-    """Return where the points start, and the names of their columns."""
+def _header(content: bytes) -> tuple[int, list[str]]:
+    """Return the byte at which the points start, and the names of their columns."""
     start = 0
     names: list[str] = []
-    for _ in range(_MOST_SKIPPED):
-        end = content.find(b"\n", start, start + _LINE_BYTES)
-        line = content[start : end if end >= 0 else start + _LINE_BYTES].decode("utf-8-sig", "replace").strip()
+    for _ in range(_MAX_HEADER_LINES):
+        end = content.find(b"\n", start, start + _MAX_LINE_BYTES)
+        line = content[start : end if end >= 0 else start + _MAX_LINE_BYTES].decode("utf-8-sig", "replace").strip()
         words = [word.strip('"') for word in re.split(r"[,;\t ]+", line.strip(",; \t")) if word]
         if words and all(map(_is_number, words)) and len(words) >= 3:
             if names and not {"x", "y", "z"} <= set(names):
@@ -54,8 +54,8 @@ def _head(content: bytes) -> tuple[int, list[str]]:
                 raise ValueError(
                     f"text must have a number for each of {len(names)} names, got {len(words)} in {line[:80]!r}"
                 )
-            extra = [f"column {at}" for at in range(len(_PLAIN), len(words))]
-            return start, names or [*_PLAIN[: len(words)], *extra]
+            extra = [f"column {index}" for index in range(len(_DEFAULT_COLUMNS), len(words))]
+            return start, names or [*_DEFAULT_COLUMNS[: len(words)], *extra]
         if end < 0:
             break
         if {"x", "y", "z"} <= set(names) and len(words) == len(names):
@@ -63,7 +63,7 @@ def _head(content: bytes) -> tuple[int, list[str]]:
             raise ValueError(
                 f"text must have numbers alone below its names, got a word in the column {bad!r}: leave it out"
             )
-        lower = [_WORDS.get(word.lower(), word.lower()) for word in words if word not in {"#", "//"}]
+        lower = [_ALIASES.get(word.lower(), word.lower()) for word in words if word not in {"#", "//"}]
         is_comment = line.startswith(("#", "//"))
         names = lower if lower and ({"x", "y", "z"} <= set(lower) or not is_comment) else names
         start = end + 1

@@ -1,6 +1,6 @@
-"""Velodyne packets: a capture (pcap) or payloads of 1206 bytes one after the other, decoded by velodyne-decoder.
+"""Velodyne packets: a capture (pcap) or concatenated payloads of 1206 bytes, decoded by velodyne-decoder.
 
-UDP payloads of a packet capture (libpcap's classic format), with IPv4 fragments put together.
+Also extracts the UDP payloads of a capture (libpcap's classic format) and reassembles IPv4 fragments.
 """
 
 from __future__ import annotations
@@ -25,23 +25,23 @@ _MAGICS = {
 }  # fmt: skip
 
 PCAP_BEGINS = tuple(_MAGICS)
-"""First bytes of captures that can be read."""
+"""First bytes of the supported captures."""
 
 _LINK_HEADER_BYTES = {0: 4, 1: 14, 101: 0, 113: 16, 228: 0, 276: 20}
 
-_DATAGRAMS_OPEN = 64
+_MAX_OPEN_DATAGRAMS = 64
 
-_PARTS_MAX = 512
+_MAX_FRAGMENTS = 512
 
-_DATAGRAM_MAX = 65_535
+_MAX_DATAGRAM_BYTES = 65_535
 
 
 @dataclass(slots=True)
 class _Datagram:
-    """A datagram that comes in fragments: offset → bytes, how many bytes these are, and its length once it is known."""
+    """A fragmented datagram: offset → bytes, number of bytes received, and total length once known."""
 
     parts: dict[int, bytes] = field(default_factory=dict)
-    held: int = 0
+    received: int = 0
     length: int | None = None
 
 
@@ -49,10 +49,10 @@ _UDP = 17
 
 
 def udp_payloads(content: bytes) -> Iterator[tuple[float, bytes]]:
-    """Yield (seconds since 1970, payload) for every UDP datagram of a capture, in order.
+    """Yield (seconds since 1970, payload) of every UDP datagram of a capture, in order.
 
     Raises:
-        ValueError: it is no capture, of a link type that is not known, or cut off within a packet.
+        ValueError: it is no capture, has an unsupported link type, or is cut off within a packet.
     """
     if content[:4] not in _MAGICS or len(content) < 24:
         raise ValueError("is not a packet capture or is cut off")
@@ -62,22 +62,22 @@ def udp_payloads(content: bytes) -> Iterator[tuple[float, bytes]]:
         raise ValueError(f"packet capture must be of Ethernet or raw IP, got link type {link}")
     record = struct.Struct(order + "IIII")
     fragments: dict[bytes, _Datagram] = {}
-    at = 24
-    while at < len(content):
-        if at + 16 > len(content):
+    offset = 24
+    while offset < len(content):
+        if offset + 16 > len(content):
             raise ValueError("packet capture is cut off within a packet header")
-        seconds, fraction, captured, _ = record.unpack_from(content, at)
-        at += 16
-        if captured > len(content) - at:
-            raise ValueError(f"packet capture is cut off: a packet of {captured} bytes, {len(content) - at} left")
-        datagram = _datagram(content[at : at + captured], link, fragments)
-        at += captured
+        seconds, fraction, captured, _ = record.unpack_from(content, offset)
+        offset += 16
+        if captured > len(content) - offset:
+            raise ValueError(f"packet capture is cut off: a packet of {captured} bytes, {len(content) - offset} left")
+        datagram = _datagram(content[offset : offset + captured], link, fragments)
+        offset += captured
         if datagram is not None:
             yield seconds + fraction * unit, datagram
 
 
 def _datagram(packet: bytes, link: int, fragments: dict[bytes, _Datagram]) -> bytes | None:
-    """Return the UDP payload that this packet holds or completes, else None."""
+    """Return the UDP payload of this packet, or that it completes; None if it is no UDP packet or an early fragment."""
     ip = _ip_packet(packet, link)
     if len(ip) < 20 or ip[0] >> 4 != 4 or ip[9] != _UDP:
         return None
@@ -85,7 +85,7 @@ def _datagram(packet: bytes, link: int, fragments: dict[bytes, _Datagram]) -> by
     body = ip[header : total if total >= header else None]
     flags = int.from_bytes(ip[6:8], "big")
     if flags & 0x3FFF:
-        joined = _join_fragments(ip[4:6] + ip[12:20], 8 * (flags & 0x1FFF), body, bool(flags & 0x2000), fragments)
+        joined = _reassemble(ip[4:6] + ip[12:20], 8 * (flags & 0x1FFF), body, bool(flags & 0x2000), fragments)
         if joined is None:
             return None
         body = joined
@@ -103,23 +103,21 @@ def _ip_packet(packet: bytes, link: int) -> bytes:
     return packet[start:]
 
 
-def _join_fragments(
-    key: bytes, offset: int, body: bytes, more: bool, fragments: dict[bytes, _Datagram]
-) -> bytes | None:
-    """Keep a fragment; return the datagram once as many bytes are there as it has, None before.
+def _reassemble(key: bytes, offset: int, body: bytes, more: bool, fragments: dict[bytes, _Datagram]) -> bytes | None:
+    """Store a fragment; return the datagram once all its bytes are there, None before.
 
-    The parts are put together once, so that fragments that never fit cost no more than those that do.
+    Fragments are joined only once, so that hostile fragments that never fit cost no more than valid ones.
     """
-    if key not in fragments and len(fragments) >= _DATAGRAMS_OPEN:
+    if key not in fragments and len(fragments) >= _MAX_OPEN_DATAGRAMS:
         fragments.pop(next(iter(fragments)))
     datagram = fragments.setdefault(key, _Datagram())
-    if offset + len(body) > _DATAGRAM_MAX or len(datagram.parts) >= _PARTS_MAX or not body:
+    if offset + len(body) > _MAX_DATAGRAM_BYTES or len(datagram.parts) >= _MAX_FRAGMENTS or not body:
         return None
-    datagram.held += len(body) - len(datagram.parts.get(offset, b""))
+    datagram.received += len(body) - len(datagram.parts.get(offset, b""))
     datagram.parts[offset] = body
     if not more:
         datagram.length = offset + len(body)
-    if datagram.held != datagram.length:
+    if datagram.received != datagram.length:
         return None
     del fragments[key]
     joined = bytearray()
@@ -136,55 +134,55 @@ _MODELS = {0x21: "HDL32E", 0x22: "VLP16", 0x24: "PuckHiRes", 0x28: "VLP32C", 0xA
 
 _TABLES = {"HDL32E": "HDL-32E", "VLP16": "VLP-16", "VLP32C": "VLP-32C"}
 
-_NO_AZIMUTH_OFFSET = {"HDL32E", "VLP16", "PuckHiRes"}
+_WITHOUT_AZIMUTH_OFFSET = {"HDL32E", "VLP16", "PuckHiRes"}
 
 
 def is_velodyne(payload: bytes) -> bool:
-    """Return whether a UDP payload is a Velodyne data packet: 1206 bytes, twelve blocks that name their bank of lasers.
+    """Return whether a UDP payload is a Velodyne data packet: 1206 bytes, twelve blocks that begin with a bank id.
 
-    The first bank is ff ee; models with more lasers than a block holds have ff dd, ff cc and ff bb as well.
+    The first bank is ff ee; models with more lasers than fit in a block also use ff dd, ff cc and ff bb.
     """
     return len(payload) == PACKET_BYTES and payload[:2] == b"\xff\xee" and payload[1100:1102] in _BANKS
 
 
 def looks_like_payloads(size: int, head: bytes) -> bool:
-    """Return whether a file holds bare payloads, by its size and first bytes."""
+    """Return whether a file looks like bare payloads, by its size and first bytes."""
     return size % PACKET_BYTES == 0 and head[:2] == b"\xff\xee"
 
 
 def read_velodyne(source: InputFile, frame: Rigid | None) -> Iterator[Columns]:
     """Yield the revolutions of a capture or a file of bare payloads.
 
-    A revolution begins at the first packet's azimuth. The rest at the end is left out, unless it is all there is.
+    A revolution begins at the first packet's azimuth. An incomplete last one is dropped, unless it is the only one.
     """
     content = source.content()
-    bare = looks_like_payloads(source.size, source.head)
-    yield from _revolutions(_bare(content) if bare else udp_payloads(content), frame)
+    is_bare = looks_like_payloads(source.size, source.head)
+    yield from _revolutions(_bare_payloads(content) if is_bare else udp_payloads(content), frame)
 
 
-def _bare(content: bytes) -> Iterator[tuple[float, bytes]]:
-    """Yield (seconds since the full hour, payload); a bare payload knows no more of time."""
+def _bare_payloads(content: bytes) -> Iterator[tuple[float, bytes]]:
+    """Yield (seconds since the full hour, payload); a bare payload has no absolute time."""
     for start in range(0, len(content), PACKET_BYTES):
         payload = content[start : start + PACKET_BYTES]
         yield int.from_bytes(payload[1200:1204], "little") * 1e-6, payload
 
 
 def revolution_of_packets(packets: Sequence[tuple[float, bytes]]) -> Columns:
-    """Return the one revolution of some packets: (seconds, payload of 1206 bytes) each.
+    """Decode packets (seconds, payload of 1206 bytes) to one revolution.
 
     Raises:
-        ValueError: they are of different models or of an unknown one, or the decoder refuses them.
+        ValueError: the models of the packets differ or are unknown, or the decoder fails.
     """
     library = _library()
     products = {payload[-1] for _, payload in packets}
     if len(products) > 1:
         raise ValueError(
-            f"packets must be of one model, got products {', '.join(f'0x{each:02x}' for each in products)}"
+            f"packets must be of one model, got products {', '.join(f'0x{product:02x}' for product in products)}"
         )
     name = _model_name(packets[0][1])
     decoder = library.ScanDecoder(_config(library, name))
-    together = library.PacketVector([library.VelodynePacket(*each) for each in packets])
-    return _columns(_call(decoder.decode, together), name, IDENTITY)
+    vector = library.PacketVector([library.VelodynePacket(*packet) for packet in packets])
+    return _columns(_call(decoder.decode, vector), name, IDENTITY)
 
 
 def _revolutions(packets: Iterable[tuple[float, bytes]], frame: Rigid | None) -> Iterator[Columns]:
@@ -202,9 +200,9 @@ def _revolutions(packets: Iterable[tuple[float, bytes]], frame: Rigid | None) ->
             yield _columns(scan, name, frame)
     if decoder is None:
         raise ValueError("holds no Velodyne data packets (1206 bytes that begin with ff ee)")
-    rest = _call(decoder.finish)
-    if not any_returns and rest is not None:
-        yield _columns(rest, name, frame)
+    last_scan = _call(decoder.finish)
+    if not any_returns and last_scan is not None:
+        yield _columns(last_scan, name, frame)
     elif not any_returns:
         raise ValueError("holds no revolution with a return")
 
@@ -229,12 +227,12 @@ def _config(library: Any, name: str) -> Any:
 def _call(function: Any, *arguments: Any) -> Any:
     try:
         return function(*arguments)
-    except Exception as error:  # the decoder is compiled code with exceptions of its own
+    except Exception as error:  # the compiled decoder has its own exception types
         raise ValueError(f"velodyne-decoder refuses the packets: {error}") from error
 
 
 def _columns(scan: Any, name: str, frame: Rigid | None) -> Columns:
-    """Return the columns of one scan: x, y, z, intensity, time, column, ring, return type."""
+    """Convert one scan; its table has x, y, z, intensity, time, column, ring, return type."""
     stamp, table = scan
     table = _one_turn(np.asarray(table, dtype=np.float32))
     points = np.ascontiguousarray(table[:, :3])
@@ -242,7 +240,7 @@ def _columns(scan: Any, name: str, frame: Rigid | None) -> Columns:
     return Columns(
         points, table[:, 3],
         ring=table[:, 6].astype(np.int16),
-        azimuth=np.arctan2(points[:, 1], points[:, 0]) if name in _NO_AZIMUTH_OFFSET else None,
+        azimuth=np.arctan2(points[:, 1], points[:, 0]) if name in _WITHOUT_AZIMUTH_OFFSET else None,
         time_s=table[:, 4] - np.float32(begin),
         t_ns=round((stamp.host + begin) * 1e9),
         model=lidar_model(_TABLES[name]) if name in _TABLES else None,
@@ -251,11 +249,11 @@ def _columns(scan: Any, name: str, frame: Rigid | None) -> Columns:
 
 
 def _one_turn(table: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Leave out the late points past the first azimuth: the decoder cuts between packets, a few degrees too late."""
+    """Drop late points past the first azimuth: the decoder splits between packets, up to a few degrees too late."""
     if len(table) < 2:
         return table
     azimuth = np.arctan2(table[:, 1], table[:, 0])
     turned = np.mod(azimuth[0] - azimuth, 2 * np.pi)
     late = table[:, 5] > 0.75 * table[:, 5].max()
-    kept: NDArray[np.float32] = table[~(late & (turned < np.pi / 2))]
-    return kept
+    one_turn: NDArray[np.float32] = table[~(late & (turned < np.pi / 2))]
+    return one_turn

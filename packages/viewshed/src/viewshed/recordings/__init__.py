@@ -1,1 +1,1 @@
-"""Recordings: those of others are read, our own are written."""
+"""Read recordings of other projects, and write our own."""

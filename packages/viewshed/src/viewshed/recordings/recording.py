@@ -1,4 +1,4 @@
-"""A recording as the sweeps in it: a data set's folder, a bag, an archive of ours, or a file of several sweeps."""
+"""Open a recording (folder of a data set, bag, archive of ours, or file of sweeps) and iterate over its sweeps."""
 
 from __future__ import annotations
 
@@ -17,25 +17,25 @@ from viewshed.recordings.read.source import SweepSource, each_sweep
 from viewshed.sweep import Sweep
 
 MANIFEST = "manifest.json"
-"""A folder with this file is an archive of ours, if it begins with :data:`_OURS`."""
+"""A folder with this file is an archive of ours if the file contains :data:`_ARCHIVE_MARK` at its beginning."""
 
-_OURS, _HEAD_BYTES = b"viewshed archive", 1000
+_ARCHIVE_MARK, _HEAD_BYTES = b"viewshed archive", 1000
 
 
 class DataSets(Protocol):
-    """What an installed package adds to read data sets in archives: an entry point of ``viewshed.recordings``."""
+    """Plugin that reads data sets in archives (entry point of ``viewshed.recordings``)."""
 
     def open(self, place: Path | str) -> SweepSource:
-        """Return the archive in a folder or at a URI."""
+        """Open the archive in a folder or at a URI."""
         ...
 
     def sweeps(self, place: Path | str, split: str | None = None) -> Iterator[tuple[str, Sweep]]:
-        """Yield the sweeps of an archive, or of one of its splits, each with the name of its scene."""
+        """Yield (scene, sweep) for the sweeps of an archive, or of one split."""
         ...
 
 
 def is_data_set(place: str | Path) -> bool:
-    """Return whether a place is a data set of ours: a URI, or a folder with a manifest that is ours, or empty."""
+    """Return whether a place is an archive of ours: a URI, or a folder with our manifest or an empty one."""
     if "://" in str(place):
         return True
     manifest = Path(place) / MANIFEST
@@ -43,46 +43,46 @@ def is_data_set(place: str | Path) -> bool:
         return False
     with manifest.open("rb") as file:
         head = file.read(_HEAD_BYTES)
-    return not head or _OURS in head
+    return not head or _ARCHIVE_MARK in head
 
 
 def data_sets(place: str | Path) -> DataSets:
-    """Return what reads data sets in archives.
+    """Load the plugin that reads data sets in archives.
 
     Raises:
-        ImportError: the package that does is not installed.
+        ImportError: the plugin is not installed.
     """
     return cast(DataSets, plugin("recordings", "archive", f"{place}: a data set in an archive"))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Recording:
-    """The sweeps of a recording, read anew each time that it is iterated over, scene by scene and in time order."""
+    """The sweeps of a recording, scene by scene in time order; each iteration reads them again."""
 
-    path: Path  # where it is
-    sweeps: Callable[[], Iterator[Sweep]]  # begins to read
+    path: Path  # its location
+    sweeps: Callable[[], Iterator[Sweep]]  # starts an iteration
 
     def __iter__(self) -> Iterator[Sweep]:
-        """Yield the sweeps; each is in memory only while it is used.
+        """Yield the sweeps one at a time, without keeping them in memory.
 
         Raises:
-            ValueError: something is damaged; the message names the file.
+            ValueError: a file is damaged; the message names it.
         """
         return self.sweeps()
 
 
 def open_recording(path: str | os.PathLike[str], *, topic: str | None = None) -> Recording:
-    """Return the recording at ``path``.
+    """Open the recording at ``path``.
 
     Args:
-        path: a folder of nuScenes, KITTI, CARLA, OPV2V or an archive of ours as its makers hand it out; a ROS bag or
-            MCAP file; or a file of one or more sweeps in a format of :func:`viewshed.read_sweep`.
-        topic: of a bag, whose messages are read; None is all of the preferred type.
+        path: a folder of nuScenes, KITTI, CARLA, OPV2V (in the layout of its publisher) or an archive of ours; a ROS
+            bag or MCAP file; or a file of one or more sweeps in a format of :func:`viewshed.read_sweep`.
+        topic: topic of a bag to read; None reads all topics of the preferred message type.
 
-    What a recording lost, as one that was cut off, is a warning.
+    Lost data, such as the end of a truncated bag, is reported as a warning.
 
     Raises:
-        ValueError: nothing that is known is there.
+        ValueError: the path holds no known recording.
         OSError: it cannot be read.
     """
     place = Path(path)
@@ -99,7 +99,7 @@ def open_recording(path: str | os.PathLike[str], *, topic: str | None = None) ->
 
 
 def open_sweep_source(place: Path, *, topic: str | None = None) -> SweepSource:
-    """Return an archive of ours or somebody else's recording, scene by scene; errors as :func:`open_recording`."""
+    """Open an archive of ours or a recording of another project; errors as :func:`open_recording`."""
     if topic is not None or not is_data_set(place):
         return open_source(place, topic=topic)
     return data_sets(place).open(place)

@@ -15,8 +15,8 @@ from tests.io.export.test_opened import HAMBURG
 from viewshed.detections import Detections, ObjectKind
 from viewshed.io.export import claimed_by_cpm, to_cpm
 from viewshed.io.export.cpm import to_cpm_uper
-from viewshed.io.messages.cpm import CONTAINERS, MESSAGE, MOST_BYTES, Station, decode_cpm, encode_cpm
-from viewshed.io.messages.uper import Choice, Flag, Numbered, Record, Several, Type, Whole, decode, encode
+from viewshed.io.messages.cpm import CONTAINERS, MAX_BYTES, MESSAGE, Station, decode_cpm, encode_cpm
+from viewshed.io.messages.uper import Boolean, Choice, Integer, OpenType, Record, SequenceOf, Type, decode, encode
 
 STATION = Station(4711, 40.4406, -79.9959, 230.5, 0.3)
 T_NS = 1_167_609_600_000_000_000  # 2007-01-01, of which the dictionary says: 94,694,401,000 ms
@@ -47,20 +47,20 @@ NAMES = {4: "PerceptionRegionContainer", 5: "PerceivedObjectContainer", 1: "Orig
 def values_of(kind: Type) -> st.SearchStrategy[Any]:
     """Values of a type, as JSON has them."""
     match kind:
-        case Whole(low, high):
+        case Integer(low, high):
             return st.integers(low, high)
-        case Flag():
+        case Boolean():
             return st.booleans()
         case Record(members):
             known = {name: values_of(of) for name, of in members.items() if name != "trailerDataSet?"}
             optional = {name.rstrip("?"): of for name, of in known.items() if name.endswith("?")}
             needed = {name: of for name, of in known.items() if not name.endswith("?")}
             return st.fixed_dictionaries(needed, optional=optional)
-        case Several(of, least, most):
-            return st.lists(values_of(of), min_size=least, max_size=min(most, least + 2))
+        case SequenceOf(of, min_size, max_size):
+            return st.lists(values_of(of), min_size=min_size, max_size=min(max_size, min_size + 2))
         case Choice(alternatives):
             return st.one_of([st.fixed_dictionaries({name: values_of(of)}) for name, of in alternatives.items()])
-        case Numbered():
+        case OpenType():
             return st.one_of([st.fixed_dictionaries({name: values_of(of)}) for name, of in kind.of.values()])
 
 
@@ -170,7 +170,7 @@ def test_a_long_message_is_cut_into_segments_below_the_limit() -> None:
     regions = to_cpm(street(), sectors=64)["perceptionRegionContainer"]
     segments = [decode_cpm(content) for content in encode_cpm(STATION, T_NS, regions, many)]
     assert len(segments) > 1
-    assert max(map(len, encode_cpm(STATION, T_NS, regions, many))) <= MOST_BYTES
+    assert max(map(len, encode_cpm(STATION, T_NS, regions, many))) <= MAX_BYTES
     numbers = [each["payload"]["managementContainer"]["segmentationInfo"] for each in segments]
     assert numbers == [{"totalMsgNo": len(segments), "thisMsgNo": k + 1} for k in range(len(segments))]
     containers = [inner for each in segments for inner in each["payload"]["cpmContainers"]]
@@ -217,14 +217,14 @@ def test_a_damaged_message_is_a_message_or_one_line(data: st.DataObject) -> None
 
 
 def test_what_a_later_version_added_is_skipped() -> None:
-    old, new = Record({"a": Whole(0, 7)}, extensible=True), Record({"b": Whole(0, 255)})
+    old, new = Record({"a": Integer(0, 7)}, extensible=True), Record({"b": Integer(0, 255)})
     # Extended; a = 5; two more members may be there and the second one is, of one byte, 0x2A; then b = 9.
     bits = "1" + "101" + "0" + "000001" + "01" + "00000001" + "00101010" + "00001001"
     content = int(bits.ljust(40, "0"), 2).to_bytes(5, "big")
     both = Record({"old": old, "new": new})
     assert decode(both, content) == {"old": {"a": 5}, "new": {"b": 9}}
     with pytest.raises(ValueError, match="no longer lists than this version knows"):
-        decode(Several(Whole(0, 1), 1, 2), b"\x80")
+        decode(SequenceOf(Integer(0, 1), 1, 2), b"\x80")
 
 
 @pytest.mark.parametrize(

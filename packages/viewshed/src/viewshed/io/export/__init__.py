@@ -1,6 +1,6 @@
-"""Estimates in other programs' formats: pure functions from :class:`FovEstimate` to dictionaries or bytes.
+"""Export estimates to other formats: pure functions from :class:`FovEstimate` to dictionaries or bytes.
 
-``EXPORTERS`` names them; :func:`write_export` writes one to a file, whole or not at all.
+``EXPORTERS`` lists them; :func:`write_export` writes one to a file atomically.
 """
 
 from __future__ import annotations
@@ -33,41 +33,41 @@ __all__ = [
 
 @dataclass(frozen=True, slots=True)
 class Exporter:
-    """How one format is made."""
+    """One export format."""
 
-    # estimate to a JSON-serializable dictionary, to bytes, or to a YAML file without its first line, which names the
-    # picture beside it, and this picture
+    # converts an estimate to a JSON-serializable dictionary, to bytes, or to a pair: a YAML file without its first
+    # line (the name of the image file), and the image
     function: Callable[..., dict[str, Any] | bytes | tuple[bytes, bytes]]
-    suffix: str  # usual end of a file's name
-    mark: bytes  # what the first bytes of its files hold, and those of no other format
-    states: str  # how the four cell states map
-    has_crs: bool = False  # whether ``function`` takes the reference system of the world frame as ``crs``
+    suffix: str  # suffix of the file name
+    mark: bytes  # bytes near the start of its files that no other format has
+    states: str  # how the four cell states are mapped
+    has_crs: bool = False  # whether ``function`` has a parameter ``crs`` (reference system of the world frame)
 
     def check_crs(self, crs: str | None) -> None:
-        """Check that the format can lie in a reference system.
+        """Check that the format supports a reference system.
 
         Raises:
-            ValueError: it has none, or the system is not known.
+            ValueError: the format has none, or the system is unknown.
         """
         if crs is None:
             return
         if not self.has_crs:
-            placed = [known for known, exporter in EXPORTERS.items() if exporter.has_crs]
-            raise ValueError(f"crs goes with {' and '.join(placed)}, got {crs!r} for {self.suffix}; leave it out")
+            supported = [known for known, exporter in EXPORTERS.items() if exporter.has_crs]
+            raise ValueError(f"crs goes with {' and '.join(supported)}, got {crs!r} for {self.suffix}; leave it out")
         crs_of(crs)
 
     def files(self, estimate: FovEstimate, name: str, crs: str | None = None) -> dict[str, bytes]:
-        """Return file name → content: what belongs beside the file ``name``, and last this file itself.
+        """Return file name → content: companion files first, the file ``name`` last.
 
         Raises:
-            ValueError: a reference system is named for a format without one, or the estimate has no pose in it.
+            ValueError: ``crs`` is given for a format without one, or the estimate has no pose in it.
         """
         self.check_crs(crs)
-        made = self.function(estimate) if crs is None else self.function(estimate, crs=crs)
-        if isinstance(made, tuple):
-            picture = name.removesuffix(".yaml") + ".pgm"
-            return {picture: made[1], name: f"image: {json.dumps(picture)}\n".encode() + made[0]}
-        return {name: made if isinstance(made, bytes) else json.dumps(made, allow_nan=False).encode()}
+        content = self.function(estimate) if crs is None else self.function(estimate, crs=crs)
+        if isinstance(content, tuple):
+            image = name.removesuffix(".yaml") + ".pgm"
+            return {image: content[1], name: f"image: {json.dumps(image)}\n".encode() + content[0]}
+        return {name: content if isinstance(content, bytes) else json.dumps(content, allow_nan=False).encode()}
 
 
 EXPORTERS: dict[str, Exporter] = {
@@ -81,13 +81,13 @@ EXPORTERS: dict[str, Exporter] = {
     "cpm": Exporter(to_cpm, ".cpm.json", b'{"perceptionRegionContainer"', cpm.STATES),
     "npz": Exporter(to_npz, ".npz", b"about.npy", archive.STATES),
 }
-"""The formats by name."""
+"""Name → export format."""
 
 _HEAD_BYTES = 2048
 
 
 def format_of_content(path: str | Path) -> str:
-    """Return the name of the format in which a file was exported; empty where it is no export, or is not there.
+    """Detect the export format of a file; return its name, or "" if it is no export or does not exist.
 
     Raises:
         OSError: it cannot be read.
@@ -100,13 +100,13 @@ def format_of_content(path: str | Path) -> str:
 
 
 def format_of_path(path: str | Path) -> str:
-    """Return the name of the format whose suffix a file's name has; ``.json`` alone is none.
+    """Return the name of the export format with the suffix of a path; ``.json`` alone is none.
 
     >>> format_of_path("a/sweep.cpm.json"), format_of_path("fov.geojson")
     ('cpm', 'geojson')
 
     Raises:
-        ValueError: no format has it; the message lists those that exist.
+        ValueError: the suffix is unknown; the message lists the known ones.
     """
     for name, exporter in EXPORTERS.items():
         if Path(path).name.endswith(exporter.suffix):
@@ -116,25 +116,25 @@ def format_of_path(path: str | Path) -> str:
 
 
 def write_export(estimate: FovEstimate, name: str, path: str | Path, *, crs: str | None = None) -> None:
-    """Write the estimate in the format ``name`` to ``path``, at once or not at all; nav2's picture beside it.
+    """Write the estimate in the format ``name`` to ``path``, atomically; an image of nav2 is written next to it.
 
     Args:
-        estimate: what to write.
-        name: of :data:`EXPORTERS`.
+        estimate: the estimate.
+        name: a name in :data:`EXPORTERS`.
         path: the file.
-        crs: reference system of the world frame (``EPSG:25832``), for GeoJSON and GeoTIFF in a map.
+        crs: reference system of the world frame (such as ``EPSG:25832``), for GeoJSON and GeoTIFF.
 
     Raises:
-        ValueError: no format has this name; the message lists those that exist.
+        ValueError: the format is unknown; the message lists the known ones.
         OSError: the file cannot be written.
     """
     if name not in EXPORTERS:
         raise ValueError(f"format must be one of {', '.join(EXPORTERS)}, got {name!r}")
-    place = Path(path)
-    for file, content in EXPORTERS[name].files(estimate, place.name, crs).items():
-        write_atomic(place.with_name(file), content)
+    main_file = Path(path)
+    for file, content in EXPORTERS[name].files(estimate, main_file.name, crs).items():
+        write_atomic(main_file.with_name(file), content)
 
 
 def save_estimate(estimate: FovEstimate, path: Path) -> None:
-    """Write the estimate in the format of the path's suffix; see :meth:`FovEstimate.save`."""
+    """Write the estimate in the format given by the suffix of ``path``; see :meth:`FovEstimate.save`."""
     write_export(estimate, format_of_path(path), path)

@@ -25,20 +25,20 @@ STATES = (
 def to_geojson(estimate: FovEstimate, threshold: float | None = None, *, crs: str | None = None) -> dict[str, Any]:
     """Return a GeoJSON FeatureCollection (dict) of five MultiPolygons: ``visible`` and the four cell states.
 
-    With ``crs``, coordinates are longitude and latitude in degrees (RFC 7946). Without, they are meters: of the
-    ``world`` frame where the estimate has a pose (its x, y and yaw; ``level`` is upright, so nothing else is left),
-    else of ``level``; the member ``crs`` then names a local system, so that programs do not take them for degrees. The
-    member ``viewshed:frame`` says which. The four states tile the grid; ``visible`` overlaps them. Each feature's
-    properties also say what the estimate rests on, by the names of :class:`Basis`.
+    With ``crs``, coordinates are longitude and latitude in degrees (RFC 7946). Without, they are meters in the
+    ``world`` frame if the estimate has a pose (x, y and yaw are applied; ``level`` is already upright), else in
+    ``level``; the member ``crs`` is then a local system, so that programs do not interpret them as degrees. The member
+    ``viewshed:frame`` states the frame. The four states tile the grid; ``visible`` overlaps them. Each feature's
+    properties include the fields of :class:`Basis`, the data that the estimate is based on.
 
     Args:
-        estimate: what to export.
-        threshold: probability from which a cell counts as visible; None is the estimate's own.
-        crs: reference system of the world frame, as ``EPSG:25832``, in meters.
+        estimate: the estimate.
+        threshold: minimum probability of a visible cell; None is the threshold of the estimate.
+        crs: reference system of the world frame in meters, such as ``EPSG:25832``.
 
     Raises:
-        ValueError: the estimate has no pose in the reference system, or this is not known or not in meters.
-        ImportError: a reference system is named, and rasterio is not installed.
+        ValueError: the estimate has no pose in the reference system, or that is unknown or not in meters.
+        ImportError: ``crs`` is given, and rasterio is not installed.
     """
     threshold = estimate.threshold if threshold is None else threshold
     pose = estimate.world_from_level
@@ -69,14 +69,14 @@ def to_geojson(estimate: FovEstimate, threshold: float | None = None, *, crs: st
 def _feature(layer: str, mask: Any, estimate: FovEstimate, threshold: float, system: CRS | None) -> dict[str, Any]:
     polygon = polygon_of_mask(mask, estimate.grid)
     pose = estimate.world_from_level
-    placed: BaseGeometry = polygon
+    geometry: BaseGeometry = polygon
     if pose is not None:
         c, s, (x_m, y_m) = float(np.cos(pose.yaw)), float(np.sin(pose.yaw)), pose.translation[:2].tolist()
-        placed = affine_transform(polygon, [c, -s, s, c, x_m, y_m])
-    placed = placed if system is None else to_wgs84(placed, system)
+        geometry = affine_transform(polygon, [c, -s, s, c, x_m, y_m])
+    geometry = geometry if system is None else to_wgs84(geometry, system)
     return {
         "type": "Feature",
-        "geometry": {"type": "MultiPolygon", "coordinates": shapely.geometry.mapping(placed)["coordinates"]},
+        "geometry": {"type": "MultiPolygon", "coordinates": shapely.geometry.mapping(geometry)["coordinates"]},
         "properties": {
             "layer": layer,
             "area_m2": float(mask.sum()) * estimate.grid.cell_area_m2,

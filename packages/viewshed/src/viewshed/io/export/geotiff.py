@@ -1,4 +1,4 @@
-"""GeoTIFF: the estimate as a raster that geographic information systems open."""
+"""GeoTIFF: export an estimate as a raster for geographic information systems."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ BANDS = ("state", "visible_prob", "std")
 
 
 def to_geotiff(estimate: FovEstimate, crs: str | None = None) -> bytes:
-    """Return a GeoTIFF of three float32 bands, ``state``, ``visible_prob`` and ``std``, one pixel a cell.
+    """Encode an estimate as a GeoTIFF of three float32 bands ``state``, ``visible_prob`` and ``std``, one pixel a cell.
 
-    In meters of the world frame where the estimate has a pose, turned by its yaw, else of ``level``.
+    In meters of the world frame, rotated by the yaw of the pose; of ``level`` if there is no pose.
 
     Args:
-        estimate: what to export.
-        crs: reference system of the world frame, as ``EPSG:25832``; None writes none.
+        estimate: the estimate.
+        crs: reference system of the world frame, such as ``EPSG:25832``; None writes none.
 
     Raises:
-        ValueError: the estimate has no pose in the reference system, or this is not known or not in meters.
+        ValueError: the estimate has no pose in the reference system, or that is unknown or not in meters.
         ImportError: rasterio is not installed.
     """
     with needed_for("writing a GeoTIFF"):
@@ -31,18 +31,18 @@ def to_geotiff(estimate: FovEstimate, crs: str | None = None) -> bytes:
         from rasterio.transform import Affine
     grid, pose = estimate.grid, estimate.world_from_level
     left_m, top_m = grid.origin_m[0], grid.origin_m[1] + 2.0 * grid.half_extent_m
-    place = np.array([[grid.cell_m, 0.0, left_m], [0.0, -grid.cell_m, top_m], [0.0, 0.0, 1.0]])
+    world_from_pixel = np.array([[grid.cell_m, 0.0, left_m], [0.0, -grid.cell_m, top_m], [0.0, 0.0, 1.0]])
     if pose is not None:
         (x_m, y_m), c, s = pose.translation[:2], np.cos(pose.yaw), np.sin(pose.yaw)
-        place = np.array([[c, -s, x_m], [s, c, y_m], [0.0, 0.0, 1.0]]) @ place
+        world_from_pixel = np.array([[c, -s, x_m], [s, c, y_m], [0.0, 0.0, 1.0]]) @ world_from_pixel
     system = None if crs is None else crs_named(crs, pose)
     with MemoryFile() as memory:
         with memory.open(
             driver="GTiff", width=grid.cells, height=grid.cells, count=len(BANDS), dtype="float32", nodata=np.nan,
-            transform=Affine(*place[:2].ravel().tolist()), crs=system, compress="deflate",
+            transform=Affine(*world_from_pixel[:2].ravel().tolist()), crs=system, compress="deflate",
         ) as raster:  # fmt: skip
             for number, name in enumerate(BANDS, start=1):
-                # Rows run from the largest y to the smallest, columns along x.
+                # Rows go from the largest y to the smallest, columns along x.
                 raster.write(np.asarray(getattr(estimate, name), np.float32).T[::-1], number)
                 raster.set_band_description(number, name)
             raster.update_tags(

@@ -1,4 +1,4 @@
-"""NPZ: the whole estimate, without loss."""
+"""NPZ: lossless storage of an estimate."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ _ARRAYS = ("visible_prob", "std", "state")
 _VERSION = 1
 
 _MAX_BYTES = 4 * MAX_CELLS**2 + 4096
-"""Largest array of a file, unpacked."""
+"""Maximum size of an array, decompressed."""
 
 
 def write_npz(estimate: FovEstimate, path: str | Path) -> None:
-    """Write the estimate to ``path`` (compressed NPZ) at once or not at all; :func:`read_npz` gives it back exactly.
+    """Write the estimate to ``path`` (compressed NPZ), atomically and without loss; :func:`read_npz` reads it.
 
     Raises:
         OSError: the file cannot be written.
@@ -36,7 +36,7 @@ def write_npz(estimate: FovEstimate, path: str | Path) -> None:
 
 
 def to_npz(estimate: FovEstimate) -> bytes:
-    """Return the bytes of a compressed NPZ: visible_prob, std and state as they are, and ``about``, JSON in UTF-8."""
+    """Encode an estimate as a compressed NPZ: visible_prob, std, state, and metadata as UTF-8 JSON in ``about``."""
     pose, target = estimate.world_from_level, estimate.target
     about = {
         "version": _VERSION,
@@ -56,7 +56,7 @@ def to_npz(estimate: FovEstimate) -> bytes:
 
 
 def read_npz(path: str | Path) -> FovEstimate:
-    """Return the estimate in a file of :func:`write_npz`; nothing is unpickled.
+    """Read an estimate written by :func:`write_npz`; nothing is unpickled.
 
     Raises:
         ValueError: the file is not such an NPZ.

@@ -1,7 +1,7 @@
 """Polygons in the style of ASAM OSI: rings of Vector3d and a Timestamp.
 
-OSI 3 has no message for a field of view (SensorViewConfiguration tells the nominal one only), so this is **not** an
-OSI message: it borrows OSI's field names, units and right-handed axes, for tools that already read those.
+OSI 3 has no message for a field of view (SensorViewConfiguration states only the nominal one), so this is **not** an
+OSI message: it uses OSI's field names, units and right-handed axes, for tools that already read those.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ STATES = "`visible`: FREE and SURFACE, by the threshold; `hidden`: HIDDEN; `unkn
 def to_osi(estimate: FovEstimate, threshold: float | None = None) -> dict[str, Any]:
     """Return OSI-style polygons (dict): one entry a polygon, with its layer, outer ring and inner rings.
 
-    Rings are lists of {x, y, z} in meters of ``level``, z = 0 (the ground below the sensor), not closed; outer ones
-    counter-clockwise, inner ones clockwise. ``timestamp`` is {seconds, nanos}, absent where the time is not known.
+    Rings are lists of {x, y, z} in meters in ``level``, z = 0 (the ground below the sensor), not closed; outer rings
+    are counter-clockwise, inner ones clockwise. ``timestamp`` is {seconds, nanos}, absent if the time is unknown.
     """
     visible = estimate.visible(threshold)
     masks = {

@@ -1,4 +1,4 @@
-"""ROS messages as plain dictionaries: nav_msgs/OccupancyGrid and grid_map_msgs/GridMap. No ROS is needed."""
+"""ROS messages as plain dictionaries: nav_msgs/OccupancyGrid and grid_map_msgs/GridMap; does not need ROS."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ OCCUPANCY_STATES = (
 
 GRID_MAP_STATES = "layer `state`: UNKNOWN 0, FREE 1, SURFACE 2, HIDDEN 3"
 
-_MISSING = -1.0
+_NO_STD = -1.0
 
 
 def to_occupancy_grid(estimate: FovEstimate, layer: str = "occupancy") -> dict[str, Any]:
-    """Return a nav_msgs/OccupancyGrid (dict) in the ``level`` frame; ``data`` row by row, x fastest.
+    """Return a nav_msgs/OccupancyGrid (dict) in the ``level`` frame; ``data`` is row by row, x fastest.
 
     Args:
-        estimate: what to export.
-        layer: ``occupancy`` (FREE 0, SURFACE 100, HIDDEN and UNKNOWN -1, as costmaps read it: nav2's static layer
-            takes any value between for free), or a layer of :func:`visibility_layer`, as ``state``, in which HIDDEN
-            and UNKNOWN differ.
+        estimate: the estimate.
+        layer: ``occupancy`` (FREE 0, SURFACE 100, HIDDEN and UNKNOWN -1, for costmaps: nav2's static layer treats any
+            value in between as free), or another layer of :func:`visibility_layer`, such as ``state``, which
+            distinguishes HIDDEN from UNKNOWN.
 
     Raises:
-        ValueError: another layer.
+        ValueError: the layer is unknown.
     """
     grid = estimate.grid
     values = visibility_layer(estimate, layer)
@@ -48,25 +48,25 @@ def to_occupancy_grid(estimate: FovEstimate, layer: str = "occupancy") -> dict[s
 
 
 def to_occupancy_grids(estimate: FovEstimate) -> dict[str, Any]:
-    """Return layers of :func:`to_occupancy_grid` by name (dict of three messages)."""
+    """Return the three layers ``occupancy``, ``state`` and ``visibility`` as OccupancyGrid messages by name."""
     return {layer: to_occupancy_grid(estimate, layer) for layer in ("occupancy", "state", "visibility")}
 
 
 _OCCUPANCY_VALUES, _STATE_VALUES = np.array([-1, 0, 100, -1], np.int8), np.array([-1, 0, 100, 50], np.int8)
-"""Of the layers ``occupancy`` and ``state``, by :class:`CellState`: in the second HIDDEN differs from UNKNOWN."""
+"""Values of the layers ``occupancy`` and ``state`` by :class:`CellState`; only ``state`` distinguishes HIDDEN."""
 
 
 def visibility_layer(estimate: FovEstimate, name: str) -> NDArray[np.int8]:
-    """Return one layer (cells, cells), x first, with values as in an OccupancyGrid.
+    """Return one layer (cells, cells) int8, x first, with values of an OccupancyGrid.
 
     Args:
-        estimate: what to export.
-        name: ``visibility`` (probability in whole percent) or ``doubt`` (that the likelier answer is wrong, 0 to 50),
-            both -1 where UNKNOWN; ``state`` (UNKNOWN -1, FREE 0, HIDDEN 50, SURFACE 100); or ``occupancy`` (FREE 0,
-            SURFACE 100, else -1).
+        estimate: the estimate.
+        name: ``visibility`` (probability in percent) or ``doubt`` (probability in percent that the likelier answer is
+            wrong, 0 to 50), both -1 where UNKNOWN; ``state`` (UNKNOWN -1, FREE 0, HIDDEN 50, SURFACE 100); or
+            ``occupancy`` (FREE 0, SURFACE 100, else -1).
 
     Raises:
-        ValueError: there is no such layer.
+        ValueError: the layer is unknown.
     """
     match name:
         case "state":
@@ -74,24 +74,24 @@ def visibility_layer(estimate: FovEstimate, name: str) -> NDArray[np.int8]:
         case "occupancy":
             return _OCCUPANCY_VALUES[estimate.state]
         case "visibility" | "doubt":
-            shares = estimate.doubt() if name == "doubt" else estimate.visible_prob
-            percent = np.rint(100.0 * shares).astype(np.int8)
+            prob = estimate.doubt() if name == "doubt" else estimate.visible_prob
+            percent = np.rint(100.0 * prob).astype(np.int8)
             return np.where(estimate.state == CellState.UNKNOWN, np.int8(-1), percent)
     raise ValueError(f"layer must be occupancy, visibility, state or doubt, got {name!r}")
 
 
 def to_grid_map(estimate: FovEstimate) -> dict[str, Any]:
-    """Return a grid_map_msgs/GridMap (dict) in the ``level`` frame with layers visible_prob, state and, if any, std.
+    """Return a grid_map_msgs/GridMap (dict) in the ``level`` frame with layers visible_prob, state and, if known, std.
 
-    As grid_map stores it: index (0, 0) is the cell of largest x and largest y, both fall with the index, and the data
-    are column-major (first dimension ``column_index``) with both start indices 0. JSON has no NaN: a cell without a
-    standard deviation is -1, and the layer is left out where no cell has one.
+    Storage order of grid_map: index (0, 0) is the cell of largest x and y, both decrease with the index, and data are
+    column-major (first dimension ``column_index``) with both start indices 0. JSON has no NaN: ``std`` is -1 in cells
+    without a standard deviation, and the layer is omitted if no cell has one.
     """
     grid = estimate.grid
     layers = {"visible_prob": estimate.visible_prob, "state": estimate.state.astype(np.float32)}
     std = estimate.std
     if std is not None and np.isfinite(std).any():
-        layers["std"] = np.where(np.isfinite(std), std, np.float32(_MISSING))
+        layers["std"] = np.where(np.isfinite(std), std, np.float32(_NO_STD))
     return {
         "header": _header(estimate),
         "info": {

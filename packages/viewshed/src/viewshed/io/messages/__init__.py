@@ -1,1 +1,1 @@
-"""ROS messages as sweeps; numpy alone."""
+"""Convert ROS messages to sweeps, in numpy."""

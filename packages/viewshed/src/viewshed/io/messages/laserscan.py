@@ -1,4 +1,4 @@
-"""sensor_msgs/LaserScan as a Sweep: the scan of a 2-D laser, in the plane z = 0 of its own frame."""
+"""Convert sensor_msgs/LaserScan (a 2-D laser) to a planar Sweep at z = 0 of its frame, and back."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from viewshed.sweep import MAX_POINTS, REVOLUTION_S, PlanarScan, Sweep
 
 
 class LaserScan(Protocol):
-    """The parts of the message that are read; angles in radians, ranges in meters, times in seconds."""
+    """The fields of the message that are read; angles in radians, ranges in meters, times in seconds."""
 
     angle_min: float
     angle_max: float
@@ -25,41 +25,41 @@ class LaserScan(Protocol):
 
 
 def sweep_of_scan(scan: LaserScan) -> Sweep:
-    """Return the planar sweep (N returns, meters) of a message.
+    """Convert a message to a planar sweep (N returns, meters).
 
-    A range from ``range_min`` to ``range_max`` is a return. +inf is a beam that met nothing up to ``range_max`` (ROS
-    enhancement proposal 117). NaN, -inf (nearer than the sensor measures) and ranges outside the limits say nothing,
-    as if there were no such beam. Times count from the first beam.
+    A range from ``range_min`` to ``range_max`` is a return. +inf is a no-return beam, free up to ``range_max`` (ROS
+    enhancement proposal 117). NaN, -inf (below the minimum range) and ranges outside the limits are ignored, as if the
+    beam did not exist. Times count from the first beam.
 
     Raises:
-        ValueError: a number is missing or not finite, the limits are no limits, or the angles are not those of one turn
-            of this number of ranges.
+        ValueError: a field is missing or not finite, the limits are invalid, or the angles do not match the number of
+            ranges or exceed one turn.
     """
     ranges = np.asarray(scan.ranges, np.float32)
     intensity = np.asarray(scan.intensities, np.float32)
     _check(scan, ranges, intensity)
-    number = np.arange(ranges.size)
-    angle = scan.angle_min + number * scan.angle_increment
+    index = np.arange(ranges.size)
+    angle = scan.angle_min + index * scan.angle_increment
     azimuth = np.remainder(angle + np.pi, 2 * np.pi) - np.pi
     hit = (ranges >= scan.range_min) & (ranges <= scan.range_max) & np.isfinite(ranges)
-    returned, at = ranges[hit].astype(np.float64), azimuth[hit]
-    points = np.zeros((at.size, 3), np.float32)
-    points[:, 0], points[:, 1] = returned * np.cos(at), returned * np.sin(at)
+    range_m, hit_azimuth = ranges[hit].astype(np.float64), azimuth[hit]
+    points = np.zeros((hit_azimuth.size, 3), np.float32)
+    points[:, 0], points[:, 1] = range_m * np.cos(hit_azimuth), range_m * np.sin(hit_azimuth)
     return Sweep(
         points,
         intensity[hit] if intensity.size else None,
-        azimuth=at.astype(np.float32),
-        time_s=(number[hit] * scan.time_increment).astype(np.float32),
+        azimuth=hit_azimuth.astype(np.float32),
+        time_s=(index[hit] * scan.time_increment).astype(np.float32),
         infer_sensor=False,
         planar=PlanarScan(azimuth[ranges == np.inf], float(scan.range_max)),
     )
 
 
 def scan_of_sweep(sweep: Sweep) -> dict[str, Any]:
-    """Return the fields of a message that :func:`sweep_of_scan` reads back as the same planar sweep.
+    """Return the fields of a message that :func:`sweep_of_scan` converts back to the same planar sweep.
 
-    Beams that say nothing are NaN. Ranges come back to a part in ten million; beams that do not stand at even angles
-    are moved to the nearest hundredth of a degree.
+    Missing beams are NaN. Ranges are restored to a part in ten million; beams that are not evenly spaced are moved to
+    the nearest hundredth of a degree.
 
     Raises:
         ValueError: the sweep is not planar.
@@ -71,16 +71,16 @@ def scan_of_sweep(sweep: Sweep) -> dict[str, Any]:
     if sweep.planar is None:
         raise ValueError("a sweep must be planar to become a LaserScan; write it as a cloud")
     x, y, _ = sweep.points.astype(np.float64).T
-    own = np.arctan2(y, x) if sweep.azimuth is None else sweep.azimuth.astype(np.float64)
-    angle = np.concatenate([own, sweep.planar.open_azimuth.astype(np.float64)])
+    hit_angles = np.arctan2(y, x) if sweep.azimuth is None else sweep.azimuth.astype(np.float64)
+    angle = np.concatenate([hit_angles, sweep.planar.open_azimuth.astype(np.float64)])
     first, step = float(angle.min()) if angle.size else 0.0, _even_step(angle)
-    number = np.rint((angle - first) / step).astype(np.intp)
-    ranges = np.full(number.max(initial=0) + 1, np.nan, np.float32)
-    ranges[number[len(own) :]] = np.inf
-    ranges[number[: len(own)]] = np.hypot(x, y)
+    index = np.rint((angle - first) / step).astype(np.intp)
+    ranges = np.full(index.max(initial=0) + 1, np.nan, np.float32)
+    ranges[index[len(hit_angles) :]] = np.inf
+    ranges[index[: len(hit_angles)]] = np.hypot(x, y)
     intensities = np.zeros(ranges.size if sweep.intensity is not None else 0, np.float32)
     if sweep.intensity is not None:
-        intensities[number[: len(own)]] = sweep.intensity
+        intensities[index[: len(hit_angles)]] = sweep.intensity
     return {
         "angle_min": first,
         "angle_max": first + step * (ranges.size - 1),
@@ -91,31 +91,31 @@ def scan_of_sweep(sweep: Sweep) -> dict[str, Any]:
     }
 
 
-_SAME_ANGLE = 1e-5
-"""Angles that differ by less are those of one beam, in radians."""
+_MIN_GAP = 1e-5
+"""Angles that differ by less than this are the same beam, in radians."""
 
-_FINEST_STEP = 2 * math.pi / 36_000
+_MIN_STEP = 2 * math.pi / 36_000
 
 
 def _even_step(angle: NDArray[np.float64]) -> float:
-    """Return the largest step whose multiples all angles (K,) are, from the least on; else a hundredth of a degree."""
+    """Return the largest step of a regular grid, from the minimum, that contains all angles (K,); else 0.01°."""
     gaps = np.diff(np.sort(angle))
-    gaps = gaps[gaps > _SAME_ANGLE]
+    gaps = gaps[gaps > _MIN_GAP]
     if not gaps.size:
-        return _FINEST_STEP
+        return _MIN_STEP
     span = float(angle.max() - angle.min())
-    # Where beams are missing, the smallest gap may be several steps.
+    # If beams are missing, the smallest gap may be several steps.
     for parts in range(1, 9):
-        # A gap is exact to rounding; the span is as exact, and holds many steps.
+        # Refine the step by the span: its rounding error is that of a gap, but spread over many steps.
         step: float = span / round(parts * span / float(gaps.min()))
-        place = (angle - angle.min()) / step
-        if (np.abs(place - np.rint(place)) < 0.1).all():
+        steps_from_min = (angle - angle.min()) / step
+        if (np.abs(steps_from_min - np.rint(steps_from_min)) < 0.1).all():
             return step
-    return _FINEST_STEP
+    return _MIN_STEP
 
 
 def _check(scan: LaserScan, ranges: NDArray[np.float32], intensity: NDArray[np.float32]) -> None:
-    """Raise a ValueError unless the numbers of a message agree."""
+    """Raise ValueError if the fields of a message are invalid or inconsistent."""
     if ranges.ndim != 1 or ranges.size > MAX_POINTS:
         raise ValueError(f"ranges must be (N,), at most {MAX_POINTS} of them, got shape {ranges.shape}")
     if intensity.shape not in ((0,), ranges.shape):
@@ -123,14 +123,14 @@ def _check(scan: LaserScan, ranges: NDArray[np.float32], intensity: NDArray[np.f
     for name in ("angle_min", "angle_max", "angle_increment", "time_increment", "range_min"):
         if not np.isfinite(getattr(scan, name)):
             raise ValueError(f"{name} must be finite, got {getattr(scan, name):g}")
-    if not 0 <= scan.range_min < scan.range_max:  # also where the maximum is no number
+    if not 0 <= scan.range_min < scan.range_max:  # also true if range_max is NaN
         raise ValueError(f"range_min and range_max must be limits, got {scan.range_min:g} and {scan.range_max:g} m")
     step, steps = abs(scan.angle_increment), max(ranges.size - 1, 0)
     if steps and not 0 < step * steps <= 2 * np.pi + step:
         raise ValueError(
             f"a scan must be at most one turn, got {ranges.size} ranges every {scan.angle_increment:g} rad"
         )
-    # Drivers disagree on whether the last angle is that of the last beam or of the one after it.
+    # In some drivers angle_max is the last beam, in others one step past it.
     span = scan.angle_max - scan.angle_min
     if abs(span - scan.angle_increment * steps) > 2 * step + 0.01 * abs(span):
         raise ValueError(

@@ -1,4 +1,4 @@
-"""CustomMsg of Livox's drivers (``livox_ros_driver`` and ``livox_ros_driver2``) as a Sweep."""
+"""Convert CustomMsg of Livox's drivers (``livox_ros_driver`` and ``livox_ros_driver2``) to a Sweep."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from viewshed.sweep import Sweep
 
 
 class LivoxPoint(Protocol):
-    """The parts of a point that are read: nanoseconds after the first, meters, reflectivity of 0 to 255."""
+    """The fields of a point that are read: nanoseconds since the first point, meters, reflectivity (0 to 255)."""
 
     offset_time: int
     x: float
@@ -21,20 +21,20 @@ class LivoxPoint(Protocol):
 
 
 class LivoxMessage(Protocol):
-    """The part of the message that is read."""
+    """The field of the message that is read."""
 
     points: Sequence[LivoxPoint]
 
 
 def sweep_of_livox(message: LivoxMessage) -> Sweep:
-    """Return the sweep (N returns, meters) of a message; beams without a return, which lie at the origin, are left out.
+    """Convert a message to a sweep (N returns, meters); beams without a return (points at the origin) are dropped.
 
-    A Livox fires anywhere in its field: there are no rings, and its ``line`` is the number of a laser.
+    A Livox has no fixed scan lines, so there are no rings; ``line`` is the number of a laser.
 
     Raises:
-        ValueError: times do not lie within one revolution.
+        ValueError: times span more than one revolution.
     """
-    rows = [(each.x, each.y, each.z, each.reflectivity, each.offset_time) for each in message.points]
+    rows = [(p.x, p.y, p.z, p.reflectivity, p.offset_time) for p in message.points]
     table = np.array(rows, np.float64).reshape(-1, 5)
     table = table[table[:, :3].any(axis=1)]
     return Sweep(

@@ -1,7 +1,6 @@
-"""Raw packets in messages as sweeps: velodyne_msgs/VelodyneScan, and PacketMsg of Ouster's drivers.
+"""Convert packet messages to sweeps: velodyne_msgs/VelodyneScan, and PacketMsg of Ouster's drivers.
 
-Packets of Velodyne are decoded by velodyne-decoder, those of Ouster by numpy alone
-(:mod:`viewshed.io.ouster_packets`).
+Velodyne packets are decoded by velodyne-decoder, Ouster packets in numpy (:mod:`viewshed.io.ouster_packets`).
 """
 
 from __future__ import annotations
@@ -17,36 +16,36 @@ from viewshed.io.ouster_packets import OusterDecoder
 from viewshed.io.velodyne import is_velodyne, revolution_of_packets
 from viewshed.sweep import Sweep
 
-UNREAD = {"nebula_msgs/msg/NebulaPackets": "packets of many makers"}
-"""Types of messages that hold a LiDAR's returns and are not read, and what they hold."""
+UNSUPPORTED = {"nebula_msgs/msg/NebulaPackets": "packets of many makers"}
+"""Unsupported types of LiDAR messages → description of their content."""
 
-_PACKETS_MAX = 4096
+_MAX_PACKETS = 4096
 
 
 class Time(Protocol):
-    """A stamp: seconds since 1970, and nanoseconds."""
+    """A time stamp: seconds since 1970, and nanoseconds."""
 
     sec: int
     nanosec: int
 
 
 class Packet(Protocol):
-    """One packet of a scan: when it came, and its bytes, 1206 of a Velodyne's."""
+    """One packet of a scan: its arrival time and its bytes (1206 for Velodyne)."""
 
     stamp: Time
     data: NDArray[np.uint8]
 
 
 class Scan(Protocol):
-    """The part that is read of a message with the packets of about one revolution."""
+    """The fields that are read of a message with the packets of about one revolution."""
 
     packets: Sequence[Packet]
 
 
 def check_count(scan: Scan) -> None:
-    """Raise a ValueError unless a scan has a packet, and no more than a revolution has."""
-    if not 0 < len(scan.packets) <= _PACKETS_MAX:
-        raise ValueError(f"a scan must have 1 to {_PACKETS_MAX} packets, got {len(scan.packets)}")
+    """Raise ValueError unless the number of packets of a scan is valid."""
+    if not 0 < len(scan.packets) <= _MAX_PACKETS:
+        raise ValueError(f"a scan must have 1 to {_MAX_PACKETS} packets, got {len(scan.packets)}")
 
 
 class PacketMsg(Protocol):
@@ -56,29 +55,27 @@ class PacketMsg(Protocol):
 
 
 def sweep_of_velodyne(scan: Scan) -> Sweep:
-    """Return the sweep of a message, which holds the packets of about one revolution.
+    """Convert a message with the packets of about one revolution to a sweep.
 
-    What it holds beyond one turn is left out.
+    Points past one full turn are dropped.
 
     Raises:
-        ValueError: there is no packet, one is no data packet, or they are of different or unknown models.
+        ValueError: there is no packet, one is no data packet, or their models differ or are unknown.
         ImportError: velodyne-decoder is not installed.
     """
     check_count(scan)
-    packets = [(each.stamp.sec + each.stamp.nanosec * 1e-9, bytes(each.data)) for each in scan.packets]
-    strangers = sum(not is_velodyne(payload) for _, payload in packets)
-    if strangers:
-        raise ValueError(
-            f"{strangers} of {len(packets)} packets are no Velodyne data packets (1206 bytes from ff ee on)"
-        )
+    packets = [(packet.stamp.sec + packet.stamp.nanosec * 1e-9, bytes(packet.data)) for packet in scan.packets]
+    invalid = sum(not is_velodyne(payload) for _, payload in packets)
+    if invalid:
+        raise ValueError(f"{invalid} of {len(packets)} packets are no Velodyne data packets (1206 bytes from ff ee on)")
     return _sweep(revolution_of_packets(packets))
 
 
 def sweep_of_ouster(messages: Sequence[PacketMsg], decoder: OusterDecoder) -> Sweep:
-    """Return the sweep of the packets of one revolution (``decoder.frame_number`` tells which belong together).
+    """Convert the packets of one revolution (grouped by ``decoder.frame_number``) to a sweep.
 
     Raises:
-        ValueError: none of them is a lidar packet of the decoder's sensor, or they are of several revolutions.
+        ValueError: one is no lidar packet of the decoder's sensor, or they are of several revolutions.
     """
     packets = [bytes(message.buf) for message in messages]
     numbers = {decoder.frame_number(packet) for packet in packets}

@@ -1,4 +1,4 @@
-"""sensor_msgs/PointCloud2 and back: every layout of fields, either byte order, padding, organized or not."""
+"""Convert sensor_msgs/PointCloud2 to a Sweep and back: any field layout, byte order, padding and organization."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from viewshed.io._rings import matched_azimuth, matched_time_s, rings_by_elevation, whole_rings
+from viewshed.io._rings import matched_azimuth, matched_time_s, rings_by_elevation, valid_rings
 from viewshed.sweep import MAX_POINTS, Sweep
 
-_KINDS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
+_TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 
 _INTENSITY = ("intensity", "i", "reflectivity", "reflectance", "signal", "remission")
 
@@ -25,15 +25,15 @@ _COLUMNS = (
     ("azimuth", "f4", "azimuth"),
     ("time_s", "f4", "time"),
 )
-"""Columns of a sweep, their types, and their fields in a cloud."""
+"""Column of a sweep, its dtype, and its field name in a cloud."""
 
 _NEAR_M = 3.0
 
-_ROW_BYTES = 1 << 20
+_MAX_POINT_BYTES = 1 << 20
 
 
 class PointField(Protocol):
-    """One field of a cloud, as the message has it."""
+    """One field of a cloud, as in the message."""
 
     name: str
     offset: int
@@ -42,7 +42,7 @@ class PointField(Protocol):
 
 
 class PointCloud2(Protocol):
-    """The parts of the message that are read."""
+    """The fields of the message that are read."""
 
     height: int
     width: int
@@ -54,13 +54,13 @@ class PointCloud2(Protocol):
 
 
 def sweep_of_cloud(cloud: PointCloud2) -> Sweep:
-    """Return the sweep (N points, meters) of a message, row by row; points that are not finite are dropped.
+    """Convert a message to a sweep (N points, meters), row by row; points that are not finite are dropped.
 
-    Intensity, ring, azimuth and time are taken from fields of their usual names. Rings are counted from the lowest
-    beam; whole numbers of time are nanoseconds and fractions seconds, both since the earliest point.
+    Intensity, ring, azimuth and time are read from fields with their usual names. Ring 0 becomes the lowest beam.
+    Times become seconds since the earliest point; integers are read as nanoseconds, floats as seconds.
 
     Raises:
-        ValueError: x, y or z is missing, or the sizes that the message names do not fit its data.
+        ValueError: x, y or z is missing, or the sizes in the message do not match its data.
     """
     table = _table(cloud)
     names = table.dtype.names or ()
@@ -73,15 +73,15 @@ def sweep_of_cloud(cloud: PointCloud2) -> Sweep:
         for part, known in (("intensity", _INTENSITY), ("ring", _RING), ("time", _TIME), ("azimuth", ("azimuth",)))
         for name in known if name in names
     }  # fmt: skip
-    keep = _finite(points)
+    keep = _finite_rows(points)
     dropped = table.size - keep.size
     if dropped:
         points, columns = points.take(keep, 0), {part: column.take(keep) for part, column in columns.items()}
     return _sweep(points, columns, dropped)
 
 
-def _finite(points: NDArray[np.float32]) -> NDArray[np.intp]:
-    """Return the rows whose three numbers are finite: 0 times anything else is not 0."""
+def _finite_rows(points: NDArray[np.float32]) -> NDArray[np.intp]:
+    """Return the indices of finite points; 0 times inf or NaN is NaN, so one comparison tests all three coordinates."""
     with np.errstate(invalid="ignore"):
         x, y, z = points.T * np.float32(0)
         return np.flatnonzero(x + y + z == 0)
@@ -103,19 +103,19 @@ def _sweep(points: NDArray[np.float32], columns: Mapping[str, NDArray[Any]], dro
 def _table(cloud: PointCloud2) -> NDArray[Any]:
     """Return the points as a structured array (height, width), a view of the message's data."""
     order = ">" if cloud.is_bigendian else "<"
-    fields = {field.name.lower(): field for field in cloud.fields if field.count <= 1 and field.datatype in _KINDS}
+    fields = {field.name.lower(): field for field in cloud.fields if field.count <= 1 and field.datatype in _TYPES}
     missing = [name for name in "xyz" if name not in fields]
     if missing:
         raise ValueError(f"a cloud must have fields x, y and z, {', '.join(missing)} not found among {list(fields)}")
-    if not 0 < cloud.point_step <= _ROW_BYTES or cloud.width * cloud.height > MAX_POINTS:
+    if not 0 < cloud.point_step <= _MAX_POINT_BYTES or cloud.width * cloud.height > MAX_POINTS:
         size = f"{cloud.height} × {cloud.width} points of {cloud.point_step} bytes"
-        raise ValueError(f"a cloud must have at most {MAX_POINTS} points of 1 to {_ROW_BYTES} bytes, got {size}")
+        raise ValueError(f"a cloud must have at most {MAX_POINTS} points of 1 to {_MAX_POINT_BYTES} bytes, got {size}")
     for name, field in fields.items():
-        if field.offset + np.dtype(_KINDS[field.datatype]).itemsize > cloud.point_step:
+        if field.offset + np.dtype(_TYPES[field.datatype]).itemsize > cloud.point_step:
             raise ValueError(f"field {name!r} at byte {field.offset} leaves a point of {cloud.point_step} bytes")
     kind = np.dtype({
         "names": list(fields),
-        "formats": [order + _KINDS[field.datatype] for field in fields.values()],
+        "formats": [order + _TYPES[field.datatype] for field in fields.values()],
         "offsets": [field.offset for field in fields.values()],
         "itemsize": cloud.point_step,
     })  # fmt: skip
@@ -129,10 +129,10 @@ def _table(cloud: PointCloud2) -> NDArray[Any]:
 
 
 def _ring(laser: NDArray[Any] | None, points: NDArray[np.float32]) -> NDArray[np.int16] | None:
-    """Return the ring (N,), 0 the lowest, of a field that counts beams in any order; None where it counts none."""
+    """Return the ring (N,), 0 the lowest, of a field with beams in any order; None if its values are invalid."""
     if laser is None:
         return None
-    number = whole_rings(laser)
+    number = valid_rings(laser)
     if number is None:
         return None
     if number.size == 0:
@@ -144,9 +144,9 @@ def _ring(laser: NDArray[Any] | None, points: NDArray[np.float32]) -> NDArray[np
 
 
 def _order(laser: NDArray[np.int64], points: NDArray[np.float32]) -> int:
-    """Return +1 where the mean slope of the beams ascends with their number, -1 where it descends, 0 where neither.
+    """Return +1 if the mean slope of the beams ascends with their number, -1 if it descends, 0 if neither.
 
-    Nearly every driver counts in one of these orders. Near returns, of the vehicle itself or of nothing, are left out.
+    Nearly every driver uses one of these orders. Near returns (of the own vehicle, or noise) are ignored.
     """
     x, y, z = points.T
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
@@ -160,7 +160,7 @@ def _order(laser: NDArray[np.int64], points: NDArray[np.float32]) -> int:
 
 
 def cloud_table(sweep: Sweep) -> NDArray[Any]:
-    """Return the points of a sweep and its columns as a structured array (N,), packed."""
+    """Return the points and columns of a sweep as a packed structured array (N,)."""
     columns = [(field, form, getattr(sweep, name)) for name, form, field in _COLUMNS]
     columns = [(field, form, column) for field, form, column in columns if column is not None]
     kinds = [*((axis, "<f4") for axis in "xyz"), *((field, f"<{form}") for field, form, _ in columns)]

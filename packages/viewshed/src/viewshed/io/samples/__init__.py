@@ -1,4 +1,4 @@
-"""The sample that travels with the package: a simulated junction with its truth, made by ``tools/make_sample.py``."""
+"""Sample data of the package: a simulated junction with ground truth, made by ``tools/make_sample.py``."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def junction_path() -> Path:
 
 
 def junction_truth_path() -> Path:
-    """Return the path of the exact truth of that sweep: an NPZ that :func:`junction_truth` reads.
+    """Return the path of the exact ground truth of that sweep, an NPZ for :func:`junction_truth`.
 
     >>> junction_truth_path().name
     'junction_truth.npz'
@@ -32,7 +32,7 @@ def junction_truth_path() -> Path:
 
 
 def junction_truth() -> tuple[Truth, NDArray[np.bool_]]:
-    """Return what the sensor of the junction could have seen of cars, on the grid ``road``, and where that is known.
+    """Return the ground truth of the junction for cars on the grid ``road``, and the mask of cells where it is known.
 
     >>> truth, known = junction_truth()
     >>> truth.visible("car").shape, bool(known.all())

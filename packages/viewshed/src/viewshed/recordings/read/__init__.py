@@ -1,11 +1,11 @@
-"""SOURCES: the recordings that can be read; :func:`open_source` knows which one a folder is."""
+"""SOURCES: the supported kinds of recordings; :func:`open_source` detects the kind of a folder and opens it."""
 
 from __future__ import annotations
 
 import os
 from pathlib import Path
 
-from viewshed.io._input import errors_named
+from viewshed.io._input import errors_with_path
 from viewshed.recordings.read import argoverse2, bag_files, carla, kitti, nuscenes, opv2v, rosbag
 from viewshed.recordings.read.source import SourceKind, SweepSource
 
@@ -27,28 +27,28 @@ SOURCES: dict[str, SourceKind] = {
         bag_files.bags_in, rosbag.BagRecording.open,
     ),
 }  # fmt: skip
-"""Name → how to recognize and open it; the first that fits is taken."""
+"""Name → how to detect and open it; the first match is used."""
 
 
 def open_source(place: str | os.PathLike[str], kind: str = "auto", *, topic: str | None = None) -> SweepSource:
-    """Return the recording at a place on disk; whatever its readers raise is one line that names a file of it.
+    """Open the recording at a path; errors of its readers are one line that names a file of it.
 
     Args:
-        place: the folder (or file) as the recording's makers hand it out.
-        kind: a name in :data:`SOURCES`, or "auto" to know it by its layout.
-        topic: of a bag, whose messages are read; None is all of the preferred type.
+        place: the folder (or file), in the layout of its publisher.
+        kind: a name in :data:`SOURCES`, or "auto" to detect it by its layout.
+        topic: topic of a bag to read; None reads all topics of the preferred message type.
 
     Raises:
-        ValueError: there is no such kind, the layout is not known, or the recording is damaged.
+        ValueError: the kind or the layout is unknown, or the recording is damaged.
         OSError: it cannot be read.
     """
-    path = Path(place).absolute()  # its folder's name counts too, also that of "."
+    path = Path(place).absolute()  # absolute: the folder's name is used as scene name, also for "."
     if kind != "auto" and kind not in SOURCES:
         raise ValueError(f"kind must be auto or one of {', '.join(SOURCES)}, got {kind!r}")
     if not path.exists():
         problem = "its links lead in a circle" if path.is_symlink() else "no such file or folder"
         raise FileNotFoundError(f"{path}: {problem}")
-    with errors_named(path, path.parent):
+    with errors_with_path(path, path.parent):
         if topic is not None:
             if not SOURCES["bag"].fits(path):
                 raise ValueError(f"{path}: topic goes with a bag, got {topic!r}; leave it out")

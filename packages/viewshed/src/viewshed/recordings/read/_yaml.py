@@ -1,4 +1,4 @@
-"""YAML of unknown origin as plain values: bytes, depth and aliases are bounded, nothing is built by tags."""
+"""Read untrusted YAML as plain values: bytes, depth and aliases are limited, tags are ignored."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from typing import Any, ClassVar
 from viewshed._extras import needed_for
 from viewshed.io._input import open_input
 
-_BYTES_MAX = 4_000_000
-_DEPTH_MAX = 50
-_NODES_MAX = 200_000
+_MAX_BYTES = 4_000_000
+_MAX_DEPTH = 50
+_MAX_NODES = 200_000
 _DIRECTIVE = re.compile(r"(?:^|[\r\n\x85\u2028\u2029])%")
 
 _PLAIN = {
@@ -24,19 +24,19 @@ _PLAIN = {
     "null": r"~|null|Null|NULL|",
     "tag:yaml.org,2002:merge": r"<<",
 }
-"""Text without quotes that is a value, by tag: own ones, so that no tag of a file needs what is not checked here.
+"""Tag → pattern of unquoted text; our own patterns, so that every constructor gets only checked text.
 
-Integers to base 60 take minutes: they stay text."""
+Integers to base 60 can take minutes to parse: they stay text."""
 
 
 def read_yaml(path: Path) -> Any:
-    """Return the first document of a YAML file as dicts, lists, text, numbers, booleans and None.
+    """Read the first document of a YAML file as dicts, lists, text, numbers, booleans and None.
 
-    Whole numbers of more than 18 digits are floats; objects of Python and of other unknown tags are None.
+    Integers of more than 18 digits become floats; Python objects and other unknown tags become None.
     """
     yaml = load_pyyaml()
     with open_input(path) as source:
-        text = source.content(_BYTES_MAX).decode("utf-8-sig")
+        text = source.content(_MAX_BYTES).decode("utf-8-sig")
         if _DIRECTIVE.search(text):
             raise ValueError("must be YAML without directives (lines that begin with %)")
         loader = _loader()
@@ -48,14 +48,14 @@ def read_yaml(path: Path) -> Any:
 
 
 def load_pyyaml() -> Any:
-    """Return PyYAML; an ImportError where the extra ``opv2v`` is not installed."""
+    """Import PyYAML; raise ImportError if the extra ``opv2v`` is not installed."""
     with needed_for("reading OPV2V"):
         import yaml
     return yaml
 
 
 def _check_bounds(yaml: Any, events: Iterable[Any]) -> None:
-    """Check depth and nodes of the first document, for the parser's composer recurses in C without a bound."""
+    """Check depth and nodes of the first document: PyYAML's composer recurses in C without a limit."""
     starts, ends = (yaml.MappingStartEvent, yaml.SequenceStartEvent), (yaml.MappingEndEvent, yaml.SequenceEndEvent)
     containers: list[tuple[str | None, int]] = []
     nodes_of: dict[str | None, int] = {}
@@ -67,34 +67,34 @@ def _check_bounds(yaml: Any, events: Iterable[Any]) -> None:
         elif isinstance(event, starts):
             containers.append((event.anchor, nodes))
             nodes += 1
-            if len(containers) > _DEPTH_MAX:
-                raise ValueError(f"YAML must be at most {_DEPTH_MAX} levels deep")
+            if len(containers) > _MAX_DEPTH:
+                raise ValueError(f"YAML must be at most {_MAX_DEPTH} levels deep")
         elif isinstance(event, ends):
             anchor, before = containers.pop()
             nodes_of[anchor] = nodes - before
         elif isinstance(event, yaml.AliasEvent):
-            if event.anchor not in nodes_of:  # nor does what it is in stand before it
+            if event.anchor not in nodes_of:  # also true for a node inside itself
                 raise ValueError(f"YAML alias {event.anchor!r} stands for nothing before it")
             nodes += nodes_of[event.anchor]
         elif isinstance(event, yaml.DocumentEndEvent):
             return
-        if nodes > _NODES_MAX:
-            raise ValueError(f"YAML must have at most {_NODES_MAX} nodes, aliases counted as what they stand for")
+        if nodes > _MAX_NODES:
+            raise ValueError(f"YAML must have at most {_MAX_NODES} nodes, aliases counted as what they stand for")
 
 
 @cache
 def _loader() -> Any:
-    """Return PyYAML's safe loader that knows the values of ``_PLAIN`` and no tags."""
+    """Return PyYAML's safe loader, restricted to the values of ``_PLAIN`` and without tags."""
     base: Any = load_pyyaml().CSafeLoader
-    own = "tag:yaml.org,2002:"
+    prefix = "tag:yaml.org,2002:"
 
     class Loader(base):  # type: ignore[misc]
         yaml_implicit_resolvers: ClassVar[Any] = {
             None: [(tag, re.compile(f"(?:{form})\\Z")) for tag, form in _PLAIN.items()]
         }
         yaml_constructors: ClassVar[Any] = {
-            **{own + name: base.yaml_constructors[own + name] for name in ("str", "seq", "map")},
-            "bool": base.yaml_constructors[own + "bool"],
+            **{prefix + name: base.yaml_constructors[prefix + name] for name in ("str", "seq", "map")},
+            "bool": base.yaml_constructors[prefix + "bool"],
             "int": lambda _, node: int(node.value),
             "float": lambda _, node: float(node.value.lower().replace(".inf", "inf").replace(".nan", "nan")),
             None: lambda _, node: None,

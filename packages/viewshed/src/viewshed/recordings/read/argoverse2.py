@@ -1,10 +1,10 @@
-"""Argoverse 2: logs of the sensor data set, as they are unpacked.
+"""Read the logs of the Argoverse 2 sensor data set.
 
 - ``LOG/sensors/lidar/315966265259836000.feather``: a sweep of the two stacked sensors, in the car's frame.
 - ``LOG/city_SE3_egovehicle.feather``: poses of the car in the city, by time.
-- ``LOG/annotations.feather``: boxes in the car's frame at the times of sweeps; a test log has none.
+- ``LOG/annotations.feather``: boxes in the car's frame at the times of sweeps; test logs have none.
 
-Sweeps are given in the frame of ``up_lidar``, whose place on the car is the same in all logs to a few centimeters.
+Sweeps are returned in the frame of ``up_lidar``, whose mounting is the same in all logs to a few centimeters.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ SWEEPS, POSES, BOXES = "sensors/lidar", "city_SE3_egovehicle.feather", "annotati
 _POSE = ("qw", "qx", "qy", "qz", "tx_m", "ty_m", "tz_m")
 _SIZE = ("length_m", "width_m", "height_m")
 _RETURNS = "num_interior_pts"
-_MOST_BYTES = 256_000_000
+_MAX_BYTES = 256_000_000
 
 
 class Argoverse2(RecordingSource):
-    """One log, or a folder of logs; each is a scene, whose world is the city."""
+    """One log, or a folder of logs; each is a scene, and its world is the frame of the city."""
 
     def __init__(self, place: Path) -> None:
         logs = logs_in(place)
@@ -43,7 +43,7 @@ class Argoverse2(RecordingSource):
         self._tables: dict[Path, dict[str, NDArray[Any]] | None] = {}
 
     def _read(self, ref: SweepRef) -> Sweep:
-        """Return a sweep with its time, and with its pose where the log tells it."""
+        """Read a sweep with its time, and its pose if the log has it."""
         sweep = read_sweep(inside(self.place, ref.file), format="argoverse2")
         city_from_car = self._pose(ref)
         if city_from_car is None:
@@ -51,12 +51,12 @@ class Argoverse2(RecordingSource):
         return sweep.replace(t_ns=ref.t_ns, world_from_sensor=city_from_car @ FILE_FRAMES["argoverse2"].inverse())
 
     def _boxes(self, ref: SweepRef) -> tuple[ObjectBox, ...] | None:
-        """Return the annotated objects at the time of a sweep; None where the log has no annotations."""
-        numbers, words = (*_POSE, *_SIZE, "timestamp_ns"), ("category", "track_uuid")
-        table = self._table(_log_of(ref) / BOXES, numbers, words, (_RETURNS,))
+        """Return the annotated objects at the time of a sweep; None if the log has no annotations."""
+        numbers, texts = (*_POSE, *_SIZE, "timestamp_ns"), ("category", "track_uuid")
+        table = self._table(_log_of(ref) / BOXES, numbers, texts, (_RETURNS,))
         if table is None:
             return None
-        # Without a pose the sensor's frame stands for the world.
+        # Without a pose, boxes are in the sensor's frame.
         world_from_car = self._pose(ref) or FILE_FRAMES["argoverse2"]
         rows = np.flatnonzero(table["timestamp_ns"] == ref.t_ns)
         poses, sizes = (np.stack([table[name][rows] for name in names], axis=1) for names in (_POSE, _SIZE))
@@ -77,31 +77,31 @@ class Argoverse2(RecordingSource):
         ]
 
     def _pose(self, ref: SweepRef) -> Rigid | None:
-        """Return the car's pose in the city, the one nearest in time within a millisecond."""
+        """Return the car's pose in the city that is nearest in time, within a millisecond; else None."""
         table = self._table(_log_of(ref) / POSES, (*_POSE, "timestamp_ns"))
         if table is None or ref.t_ns is None or not len(table["timestamp_ns"]):
             return None
-        apart_ns = np.abs(table["timestamp_ns"] - ref.t_ns)
-        row = int(apart_ns.argmin())
-        if apart_ns[row] > 1_000_000:
+        difference_ns = np.abs(table["timestamp_ns"] - ref.t_ns)
+        row = int(difference_ns.argmin())
+        if difference_ns[row] > 1_000_000:
             return None
         pose = np.array([table[name][row] for name in _POSE])
         return Rigid.from_quaternion(pose[:4], pose[4:])
 
     def _table(
-        self, path: Path, numbers: Sequence[str], words: Sequence[str] = (), optional: Sequence[str] = ()
+        self, path: Path, numbers: Sequence[str], texts: Sequence[str] = (), optional: Sequence[str] = ()
     ) -> dict[str, NDArray[Any]] | None:
-        """Return a log's table by column, None where it has none; ``optional`` columns may be missing.
+        """Return a log's table by column, None if it does not exist; ``optional`` columns may be missing.
 
-        It is read once; those of one log are kept, for those of a whole data set fill the memory.
+        Only the tables of one log are cached, to limit memory.
         """
         if path not in self._tables:
             self._tables = {kept: table for kept, table in self._tables.items() if kept.parent == path.parent}
             table = None
             if path.is_file():
                 with open_input(inside(self.place, path)) as source:
-                    table = read_feather(source.content(_MOST_BYTES), (*numbers, *optional), words)
-                    names = (*numbers, *words)
+                    table = read_feather(source.content(_MAX_BYTES), (*numbers, *optional), texts)
+                    names = (*numbers, *texts)
                     missing = [name for name in names if name not in table]
                     if missing:
                         raise ValueError(f"must have the columns {', '.join(names)}, got none of {', '.join(missing)}")
@@ -110,7 +110,7 @@ class Argoverse2(RecordingSource):
 
 
 def logs_in(place: Path) -> list[Path]:
-    """Return the logs at a place: itself, or those in it."""
+    """Return the logs at a place: itself, or folders in it."""
     return sorted({folder.parents[1] for depth in ("", "*/") for folder in place.glob(f"{depth}{SWEEPS}")})
 
 

@@ -1,9 +1,8 @@
-"""Bags as streams of messages: ROS 1 files, MCAP files, SQLite files of ROS 2, and folders of these.
+"""Read bags as streams of messages: ROS 1 files, MCAP files, SQLite files of ROS 2, and folders of these.
 
-The packages ``mcap`` and ``rosbags`` parse records, and nothing in a bag is believed: lengths are checked against what
-is there, a chunk may unpack to 200 times its size and all chunks of a file to 200 times the file's, and files that only
-keep a reader busy are refused. An MCAP file that was cut off gives what lies before the cut; a ROS 1 bag is read by the
-index at its end.
+The packages ``mcap`` and ``rosbags`` parse records. Bags are untrusted: lengths are checked against the file size, a
+chunk may decompress to at most 200 times its size and all chunks of a file to 200 times the file size, and files with
+endless records are refused. A truncated MCAP file is read up to the cut; a ROS 1 bag is read by the index at its end.
 
 Sources: https://mcap.dev/spec, http://wiki.ros.org/Bags/Format/2.0, rosbag2_storage_sqlite3.
 """
@@ -29,23 +28,23 @@ from viewshed.io.formats import BAG_SUFFIXES
 MCAP_MAGIC = b"\x89MCAP0\r\n"
 ROS1_MAGIC = b"#ROSBAG V2.0\n"
 _METADATA = "metadata.yaml"
-_PACKED = (".zstd", ".zst")
-_EMPTY_RECORDS_MAX = 100_000
-_ROW_BYTES_MIN = 8
+_ZSTD_SUFFIXES = (".zstd", ".zst")
+_MAX_EMPTY_RECORDS = 100_000
+_MIN_ROW_BYTES = 8
 _LZ4_STEP_BYTES = 1 << 20
 _ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 
 
 @dataclass(frozen=True, slots=True)
 class Message:
-    """One message as it is stored."""
+    """One serialized message."""
 
-    topic: str  # what it belongs to
-    kind: str  # its type, as ROS 2 writes it
+    topic: str  # name of its topic
+    kind: str  # message type in ROS 2 notation
     encoding: str  # ``cdr`` or ``ros1``
-    t_ns: int  # when it was recorded, nanoseconds
-    where: str  # how :meth:`BagFile.message` finds it again
-    raw: bytes  # its bytes
+    t_ns: int  # recording time in nanoseconds
+    where: str  # position for :meth:`BagFile.message`
+    raw: bytes  # serialized bytes
 
 
 class BagFile(Protocol):
@@ -53,15 +52,15 @@ class BagFile(Protocol):
 
     @property
     def types(self) -> dict[str, str]:
-        """Topic → type of its messages, of the topics that were met so far."""
+        """Topic → message type, for the topics read so far."""
         ...
 
     def messages(self, kinds: Collection[str]) -> Iterator[Message]:
-        """Yield the messages of some types in the order of the file; a ValueError where it is damaged."""
+        """Yield the messages of some types in file order; raise ValueError where the file is damaged."""
         ...
 
     def message(self, where: str) -> bytes:
-        """Return the bytes of one message; a ValueError where it is not there any more."""
+        """Return the bytes of one message; raise ValueError if it no longer exists."""
         ...
 
     def close(self) -> None:
@@ -70,7 +69,7 @@ class BagFile(Protocol):
 
 
 def bags_in(place: Path) -> list[Path]:
-    """Return the bags at a place, by names alone: itself, or those in the folder, in alphabetical order."""
+    """Return the bags at a place, by file names alone: itself, or those in the folder, sorted."""
     if place.is_file():
         return [place] if _is_bag_file(place) else []
     if _is_ros2(place):
@@ -79,9 +78,9 @@ def bags_in(place: Path) -> list[Path]:
 
 
 def _bag_files(folder: Path) -> list[Path]:
-    """Return the files of bags in a folder, sorted; a packed one that lies there unpacked as well is left out."""
-    held = sorted(path for path in folder.iterdir() if _is_bag_file(path))
-    return [path for path in held if path.suffix.lower() not in _PACKED or path.with_suffix("") not in held]
+    """Return the bag files in a folder, sorted; without compressed ones that are also there uncompressed."""
+    files = sorted(path for path in folder.iterdir() if _is_bag_file(path))
+    return [path for path in files if path.suffix.lower() not in _ZSTD_SUFFIXES or path.with_suffix("") not in files]
 
 
 def _is_bag_file(path: Path) -> bool:
@@ -93,21 +92,21 @@ def _is_ros2(folder: Path) -> bool:
 
 
 def open_bag(root: Path, path: Path) -> BagFile:
-    """Return an opened bag; a ValueError where it does not begin like one, or a link leads out of the recording."""
+    """Open a bag; raise ValueError if its first bytes are unknown or a link leads out of the recording."""
     inside(root, path)
     if path.is_dir():
         return FolderBag(root, path)
-    packed = path.name.lower().endswith(_PACKED)
-    stream: BinaryIO = io.BytesIO(_unpacked_zstd(path.read_bytes())) if packed else _Bounded(path)
+    packed = path.name.lower().endswith(_ZSTD_SUFFIXES)
+    stream: BinaryIO = io.BytesIO(_unpacked_zstd(path.read_bytes())) if packed else _BoundedFile(path)
     budget = _UnpackBudget.of(path.stat().st_size)
-    with contextlib.ExitStack() as unless_taken:
-        unless_taken.callback(stream.close)
+    with contextlib.ExitStack() as on_failure:
+        on_failure.callback(stream.close)
         head = stream.read(16)
         stream.seek(0)
         for magic, bag_type in ((MCAP_MAGIC, McapBag), (ROS1_MAGIC, Ros1Bag)):
             if head.startswith(magic):
                 bag: BagFile = bag_type(stream, budget)
-                unless_taken.pop_all()
+                on_failure.pop_all()
                 return bag
         if head == b"SQLite format 3\0":
             return SqliteBag(stream.read() if packed else path, budget)
@@ -119,8 +118,8 @@ def open_bag(root: Path, path: Path) -> BagFile:
     raise ValueError("is damaged: it is no SQLite database")
 
 
-class _Bounded(io.BufferedReader):
-    """A file whose reads take no more memory than is left of it, whatever number of bytes a record names."""
+class _BoundedFile(io.BufferedReader):
+    """A file whose reads allocate at most the rest of the file, even if a record claims more bytes."""
 
     def __init__(self, path: Path) -> None:
         raw = io.FileIO(path)
@@ -128,14 +127,14 @@ class _Bounded(io.BufferedReader):
         self._size = path.stat().st_size
 
     def read(self, size: int | None = -1, /) -> bytes:
-        """Return at most ``size`` bytes; all that is left where it is negative."""
-        left = max(self._size - self.tell(), 0)
-        return super().read(left if size is None or size < 0 else min(size, left))
+        """Read at most ``size`` bytes; the rest of the file if it is negative."""
+        remaining = max(self._size - self.tell(), 0)
+        return super().read(remaining if size is None or size < 0 else min(size, remaining))
 
 
 @dataclass(slots=True)
 class _UnpackBudget:
-    """How many bytes all chunks and messages of a file may still unpack to: many small ones add up as a large one."""
+    """Limit of the total decompressed size of a file, over all its chunks and messages."""
 
     limit: int
     spent: int = 0
@@ -151,7 +150,7 @@ class _UnpackBudget:
 
 
 class _ChunkedBag:
-    """A file of which some records are chunks of packed records; the content of the last chunk is kept."""
+    """A bag file with chunks of compressed records; caches the content of the last chunk."""
 
     def __init__(self, file: BinaryIO, budget: _UnpackBudget) -> None:
         self._file, self._budget = file, budget
@@ -169,14 +168,14 @@ class _ChunkedBag:
         return self._file.read(count)
 
     def _unpack(self, at: int, packed: bytes, packing: str, size: int | None = None) -> bytes:
-        """Return the content of a chunk, of ``size`` bytes where that is known."""
+        """Decompress a chunk (to ``size`` bytes, if known) and cache its content."""
         limit = unpack_limit(len(packed))
-        if packing not in _UNPACKERS:
+        if packing not in _DECOMPRESSORS:
             raise ValueError(f"has a chunk packed as {packing!r}, which is not read")
         if size is not None and size > limit:
             raise ValueError(f"is damaged: the chunk at byte {at} names {len(packed)} and {size} bytes; refused")
         try:
-            content = _UNPACKERS[packing](packed, limit + 1 if size is None else size + 1)
+            content = _DECOMPRESSORS[packing](packed, limit + 1 if size is None else size + 1)
         except (OSError, EOFError, ValueError, MemoryError) as error:
             raise ValueError(f"is damaged: the chunk at byte {at} does not unpack: {error}") from error
         if len(content) > limit or size not in {None, len(content)}:
@@ -186,7 +185,7 @@ class _ChunkedBag:
 
 
 class McapBag(_ChunkedBag):
-    """An MCAP file, read from its start, so that one that was cut off gives what lies before the cut."""
+    """An MCAP file, read from its start, so that a truncated file is read up to the cut."""
 
     def __init__(self, file: BinaryIO, budget: _UnpackBudget) -> None:
         super().__init__(file, budget)
@@ -199,11 +198,11 @@ class McapBag(_ChunkedBag):
 
     @property
     def types(self) -> dict[str, str]:
-        """Topic → type of its messages."""
+        """Topic → message type."""
         return {topic: kind for topic, kind, _ in self._channels.values()}
 
     def messages(self, kinds: Collection[str]) -> Iterator[Message]:
-        """Yield the messages of some types, in the order of the file."""
+        """Yield the messages of some types, in file order."""
         return self._messages(kinds, -1, self._file, len(MCAP_MAGIC), self._file.seek(0, io.SEEK_END))
 
     def message(self, where: str) -> bytes:
@@ -216,7 +215,7 @@ class McapBag(_ChunkedBag):
         return self._chunk[1][start : start + length]
 
     def _messages(self, kinds: Collection[str], chunk: int, file: BinaryIO, at: int, stop: int) -> Iterator[Message]:
-        """Yield the messages of a chunk, or those of the file (``chunk`` is -1) up to the end of its data."""
+        """Yield the messages of a chunk, or of the file (``chunk`` is -1) up to the end of its data section."""
         while at < stop or chunk < 0:
             file.seek(at)
             head = file.read(9)
@@ -224,12 +223,12 @@ class McapBag(_ChunkedBag):
                 raise ValueError(f"is cut off at byte {at}: its end is missing")
             opcode, length = struct.unpack("<BQ", head)
             end = at + 9 + length
-            if opcode in {0x02, 0x0F}:  # footer, or the end of the data
+            if opcode in {0x02, 0x0F}:  # footer, or end of the data section
                 return
             if end > stop:
                 raise ValueError(f"is cut off: a record at byte {at} has {length} bytes, {stop - at - 9} are left")
             self._empty = 0 if opcode == 0x05 else self._empty + 1
-            if self._empty > _EMPTY_RECORDS_MAX:
+            if self._empty > _MAX_EMPTY_RECORDS:
                 raise ValueError(f"is damaged: {self._empty} records before byte {at} hold no message")
             if opcode == 0x03:
                 schema = self._parsed(self._mcap.Schema, file, at)
@@ -238,7 +237,7 @@ class McapBag(_ChunkedBag):
                 channel = self._parsed(self._mcap.Channel, file, at)
                 kind = _name_in_ros2(self._schemas.get(channel.schema_id, ""))
                 self._channels[channel.id] = (channel.topic, kind, channel.message_encoding)
-            elif opcode == 0x05:  # read here: the package copies its bytes twice
+            elif opcode == 0x05:  # parsed here: the package copies the bytes twice
                 number, _, t_ns, _ = struct.unpack("<HIQQ", file.read(22).ljust(22, b"\xff"))
                 if number not in self._channels or length < 22:
                     raise ValueError(f"is damaged: a message names channel {number}, which is not there")
@@ -258,7 +257,7 @@ class McapBag(_ChunkedBag):
         return self._unpack(at, chunk.data, chunk.compression, chunk.uncompressed_size)
 
     def _parsed(self, kind: Any, file: BinaryIO, at: int) -> Any:
-        """Return the record whose content comes next in a file."""
+        """Parse the record at the current position of a file."""
         try:
             return kind.read(self._stream(file))
         except Exception as error:  # the package raises several types on damaged records
@@ -266,7 +265,7 @@ class McapBag(_ChunkedBag):
 
 
 def _name_in_ros2(name: str) -> str:
-    """Return a type's name as ROS 2 writes it.
+    """Convert the name of a message type to ROS 2 notation.
 
     >>> _name_in_ros2("nav_msgs/Odometry")
     'nav_msgs/msg/Odometry'
@@ -290,22 +289,22 @@ class Ros1Bag(_ChunkedBag):
 
     @property
     def types(self) -> dict[str, str]:
-        """Topic → type of its messages."""
-        return {each.topic: each.msgtype for each in self._reader.connections}
+        """Topic → message type."""
+        return {connection.topic: connection.msgtype for connection in self._reader.connections}
 
     def messages(self, kinds: Collection[str]) -> Iterator[Message]:
-        """Yield the messages of some types, in the order of the file."""
-        wanted = [each for each in self._reader.connections if each.msgtype in kinds]
-        places = sorted(
-            (at.chunk_pos, at.offset, at.time, number)
-            for number, each in enumerate(wanted)
-            for at in self._reader.indexes[each.id]
+        """Yield the messages of some types, in file order."""
+        connections = [connection for connection in self._reader.connections if connection.msgtype in kinds]
+        entries = sorted(
+            (entry.chunk_pos, entry.offset, entry.time, number)
+            for number, connection in enumerate(connections)
+            for entry in self._reader.indexes[connection.id]
         )
-        for chunk, offset, t_ns, number in places:
-            where, before = f"{chunk}:{offset}", self._chunk[0]
+        for chunk, offset, t_ns, number in entries:
+            where, previous_chunk = f"{chunk}:{offset}", self._chunk[0]
             raw = self.message(where)
-            self._budget.spend(len(raw) + (len(self._chunk[1]) if self._chunk[0] != before else 0))
-            yield Message(wanted[number].topic, wanted[number].msgtype, "ros1", t_ns, where, raw)
+            self._budget.spend(len(raw) + (len(self._chunk[1]) if self._chunk[0] != previous_chunk else 0))
+            yield Message(connections[number].topic, connections[number].msgtype, "ros1", t_ns, where, raw)
 
     def message(self, where: str) -> bytes:
         """Return the bytes of one message."""
@@ -317,7 +316,7 @@ class Ros1Bag(_ChunkedBag):
             content = io.BytesIO(self._chunk[1])
             content.seek(offset)
             header = self._rosbags.Header.read(content)
-            if header.get_uint8("op") == self._rosbags.RecordType.CONNECTION:  # some writers point at what is before it
+            if header.get_uint8("op") == self._rosbags.RecordType.CONNECTION:  # some indexes point at it
                 content.seek(self._rosbags.read_uint32(content), io.SEEK_CUR)
                 header = self._rosbags.Header.read(content)
             if header.get_uint8("op") != self._rosbags.RecordType.MSGDATA:
@@ -328,7 +327,7 @@ class Ros1Bag(_ChunkedBag):
 
 @cache
 def _ros1_reader() -> tuple[Any, Any]:
-    """Return the module of rosbags, and its reader with a bound: an index that is named over and over would not end."""
+    """Return the reader module of rosbags, and its Reader with a limit against indexes that are listed repeatedly."""
     with needed_for("reading a bag"):
         from rosbags.rosbag1 import reader
     base: Any = reader.Reader
@@ -360,13 +359,13 @@ def _ros1_errors() -> Iterator[None]:
 def _unlz4(packed: bytes, limit: int) -> bytes:
     with needed_for("reading a bag packed by lz4"):
         from lz4.frame import LZ4FrameDecompressor
-    # It takes as much memory as it may fill: a little at a time, so that a few bytes do not cost hundreds of megabytes.
-    decompressor, parts, left, given = LZ4FrameDecompressor(), [b""], limit, packed
+    # The decompressor allocates its output limit: use small steps, so that few bytes do not cost hundreds of megabytes.
+    decompressor, parts, remaining, pending = LZ4FrameDecompressor(), [b""], limit, packed
     try:
-        while left and not decompressor.eof and (len(parts[-1]) or given):
-            parts.append(bytes(decompressor.decompress(given, min(left, _LZ4_STEP_BYTES))))
-            left, given = left - len(parts[-1]), b""
-    except RuntimeError as error:  # all that it raises
+        while remaining and not decompressor.eof and (len(parts[-1]) or pending):
+            parts.append(bytes(decompressor.decompress(pending, min(remaining, _LZ4_STEP_BYTES))))
+            remaining, pending = remaining - len(parts[-1]), b""
+    except RuntimeError as error:  # the only exception of lz4
         raise ValueError(str(error)) from error
     return b"".join(parts)
 
@@ -381,23 +380,23 @@ def _unzstd(packed: bytes, limit: int) -> bytes:
         raise ValueError(str(error)) from error
 
 
-_UNPACKERS: dict[str, Callable[[bytes, int], bytes]] = {
+_DECOMPRESSORS: dict[str, Callable[[bytes, int], bytes]] = {
     "": lambda packed, _: packed, "bz2": lambda packed, limit: bz2.BZ2Decompressor().decompress(packed, limit),
     "lz4": _unlz4, "zstd": _unzstd,
 }  # fmt: skip
-"""What unpacks a chunk to a bounded number of bytes, by the name of the packing."""
+"""Name of the compression → function (chunk, limit in bytes) that decompresses it."""
 
 
 class SqliteBag:
-    """One SQLite file of a ROS 2 bag: the file, or what it holds."""
+    """One SQLite file of a ROS 2 bag, given by path or content."""
 
     def __init__(self, content: Path | bytes, budget: _UnpackBudget) -> None:
         self.types: dict[str, str] = {}
         self._budget = budget
         self._log = content.with_name(f"{content.name}-wal") if isinstance(content, Path) else None
-        self._rows_left = (len(content) if isinstance(content, bytes) else content.stat().st_size) // _ROW_BYTES_MIN
+        self._rows_left = (len(content) if isinstance(content, bytes) else content.stat().st_size) // _MIN_ROW_BYTES
         where = ":memory:" if isinstance(content, bytes) else f"{content.absolute().as_uri()}?mode=ro&immutable=1"
-        # A bag that nobody holds any more is closed by whichever thread collects it.
+        # The garbage collector may close the bag in another thread.
         self._base = sqlite3.connect(where, uri=True, check_same_thread=False)
         self._steps_left = 100 + self._rows_left // 100
         self._base.set_progress_handler(self._step, 10_000)
@@ -410,15 +409,15 @@ class SqliteBag:
             raise
 
     def __del__(self) -> None:
-        with contextlib.suppress(AttributeError):  # where it could not be opened at all
+        with contextlib.suppress(AttributeError):  # it could not be opened
             self.close()
 
     def close(self) -> None:
-        """Close the data base."""
+        """Close the database."""
         self._base.close()
 
     def _step(self) -> bool:
-        """Count 10,000 steps of the data base; True ends it: pages that share their children make endless tables."""
+        """Count 10,000 steps of SQLite; True aborts the query: tables with shared child pages are endless."""
         self._steps_left -= 1
         return self._steps_left < 0
 
@@ -436,7 +435,7 @@ class SqliteBag:
         return topics
 
     def messages(self, kinds: Collection[str]) -> Iterator[Message]:
-        """Yield the messages of some types, in the order of the file."""
+        """Yield the messages of some types, in file order."""
         with _sqlite_errors():
             for row, topic_id, t_ns in self._base.execute("SELECT id, topic_id, timestamp FROM messages"):
                 self._rows_left -= 1
@@ -451,8 +450,8 @@ class SqliteBag:
                 self._budget.spend(len(raw))
                 yield Message(topic, kind, encoding, t_ns, str(row), raw)
         if self._log is not None and self._log.is_file() and self._log.stat().st_size:
-            whole = f"sqlite3 {self._log.name.removesuffix('-wal')} 'PRAGMA wal_checkpoint(TRUNCATE)'"
-            raise ValueError(f"was not closed: what lies in {self._log.name} is not read; write it back: {whole}")
+            repair = f"sqlite3 {self._log.name.removesuffix('-wal')} 'PRAGMA wal_checkpoint(TRUNCATE)'"
+            raise ValueError(f"was not closed: what lies in {self._log.name} is not read; write it back: {repair}")
 
     def message(self, where: str) -> bytes:
         """Return the bytes of one message."""
@@ -460,11 +459,11 @@ class SqliteBag:
             row = self._base.execute("SELECT data FROM messages WHERE id = ?", (int(where),)).fetchone()
         if row is None or not isinstance(row[0], bytes):
             raise ValueError(f"is damaged: message {where} is no bytes")
-        return _unpacked_zstd(row[0]) if row[0][:4] == _ZSTD_MAGIC else row[0]  # rosbag2 may pack each message
+        return _unpacked_zstd(row[0]) if row[0][:4] == _ZSTD_MAGIC else row[0]  # rosbag2 may compress each message
 
 
 def _unpacked_zstd(packed: bytes) -> bytes:
-    """Return what a file or a message holds, whose unpacked length is not given."""
+    """Decompress a file or a message of unknown decompressed length."""
     limit = unpack_limit(len(packed))
     try:
         content = _unzstd(packed, limit + 1)
@@ -484,7 +483,7 @@ def _sqlite_errors() -> Iterator[None]:
 
 
 class FolderBag:
-    """A folder of a ROS 2 bag: its SQLite or MCAP files, one after the other. Its metadata.yaml is not needed."""
+    """A ROS 2 bag folder: its SQLite or MCAP files in order; its metadata.yaml is not needed."""
 
     def __init__(self, root: Path, folder: Path) -> None:
         self._root = root
@@ -495,13 +494,13 @@ class FolderBag:
         self.types: dict[str, str] = {}
 
     def close(self) -> None:
-        """Close the file that is open."""
+        """Close the open file."""
         if self._open is not None:
             self._open[1].close()
         self._open = None
 
     def messages(self, kinds: Collection[str]) -> Iterator[Message]:
-        """Yield the messages of some types, file by file; what is wrong with one does not stop the others."""
+        """Yield the messages of some types, file by file; raise the problems of damaged files after the last one."""
         problems: list[str] = []
         for number, path in enumerate(self._files):
             try:

@@ -1,19 +1,19 @@
-"""Recordings made in CARLA: each agent a folder with PLY or NPY sweeps and a table of poses.
+"""Read CARLA recordings: each agent is a folder with PLY or NPY sweeps and a table of poses.
 
-- ``recording.json`` (optional): ``axes`` are ``carla`` (the default), ``carla_0.9.9`` (0.9.9 and older: x right,
+- ``recording.json`` (optional): ``axes`` is ``carla`` (the default), ``carla_0.9.9`` (0.9.9 and older: x right,
   y backward, z down) or ``sensor`` (x forward, y left, z up); ``agents`` has for each folder ``sensor_height_m`` and
   ``lidar`` with ``channels``, ``upper_fov_deg``, ``lower_fov_deg``, ``range_m``, ``points_per_second`` and
   ``rotation_hz``.
 - ``actors.jsonl`` (optional), a line a tick: ``frame``, ``t_ns`` and ``actors``, each with ``id``, ``type``, the center
   ``x``, ``y``, ``z`` of its box, ``roll``, ``pitch``, ``yaw``, ``extent`` (half sizes) and, where it carries a sensor,
   ``agent``. An agent's own vehicle is not among its boxes.
-- ``AGENT/poses.csv`` (or ``poses.jsonl`` with the same keys): ``frame,t_ns,x,y,z,roll,pitch,yaw``, the number in the
-  file's name, nanoseconds, meters and degrees of the sensor's ``carla.Transform``.
-- ``AGENT/000123.ply``: what ``measurement.save_to_disk`` writes, or an NPY array (N, 3) or (N, 4) of the same. A sweep
+- ``AGENT/poses.csv`` (or ``poses.jsonl`` with the same keys): ``frame,t_ns,x,y,z,roll,pitch,yaw``: number in the
+  file name, nanoseconds, meters and degrees of the sensor's ``carla.Transform``.
+- ``AGENT/000123.ply``: output of ``measurement.save_to_disk``, or an NPY array (N, 3) or (N, 4) of the same. A sweep
   without a row in the table is read without pose and time.
 
-Poses and actors stand in the tables as CARLA says them, in left-handed frames (x forward, y right, z up; degrees).
-Mirroring y, S = diag(1, -1, 1), turns these into our right-handed ones: a pose (R, t) becomes (S R S, S t).
+Poses and actors are stored as in CARLA, in left-handed frames (x forward, y right, z up; degrees). Mirroring y,
+S = diag(1, -1, 1), converts them to our right-handed frames: a pose (R, t) becomes (S R S, S t).
 """
 
 from __future__ import annotations
@@ -39,13 +39,13 @@ from viewshed.sensors import MAX_RINGS, LidarModel
 from viewshed.sweep import Sweep
 
 MIRROR = np.array([1.0, -1.0, 1.0])
-"""What turns a vector of CARLA into one of ours, and back."""
+"""Factors that convert a vector from CARLA's axes to ours, and back."""
 
 
 def rotation_of_carla(roll_deg: float, pitch_deg: float, yaw_deg: float) -> NDArray[np.float64]:
-    """Return the (3, 3) rotation that CARLA's ``Transform.get_matrix`` has, still in CARLA's left-handed axes.
+    """Return the rotation (3, 3) of CARLA's ``Transform.get_matrix``, in CARLA's left-handed axes.
 
-    Source: ``carla/geom/Transform.h``. Yaw turns x towards y (right), pitch lifts x, roll lowers the right side (y).
+    Source: ``carla/geom/Transform.h``. Yaw rotates x toward y (right), pitch lifts x, roll lowers the right side (y).
 
     >>> rotation_of_carla(0.0, 0.0, 90.0).round(6).tolist()[1]
     [1.0, 0.0, 0.0]
@@ -71,13 +71,13 @@ def rigid_of_carla(location_m: Sequence[float], roll_deg: float, pitch_deg: floa
 
 
 def mirrored(sweep: Sweep) -> Sweep:
-    """Return a sweep read from points in CARLA's axes, in the sensor's frame: y and azimuth change their sign."""
+    """Convert a sweep from CARLA's axes to the sensor's frame: negate y and azimuth."""
     azimuth = None if sweep.azimuth is None else -sweep.azimuth
     return sweep.replace(points=sweep.points * MIRROR.astype(np.float32), azimuth=azimuth)
 
 
 def box_of_carla(world_from_box: Rigid, extent_m: Sequence[float], category: str, track: str | None) -> ObjectBox:
-    """Return the box with CARLA's extent: half of its length, width and height, meters."""
+    """Return a box of CARLA's extent (half of length, width and height, meters)."""
     length, width, height = (2.0 * half for half in extent_m)
     return ObjectBox(world_from_box, (length, width, height), category, track)
 
@@ -90,7 +90,7 @@ def lidar_of_carla(
     points_per_second: float,
     rotation_hz: float,
 ) -> LidarModel:
-    """Return the beams of ``sensor.lidar.ray_cast`` with these attributes: channels evenly spaced, the lowest first.
+    """Return the beam table of ``sensor.lidar.ray_cast`` with these attributes: evenly spaced, the lowest first.
 
     Source: ``RayCastSemanticLidar.cpp``, CreateLasers and SimulateLidar.
 
@@ -111,46 +111,46 @@ def lidar_of_carla(
 
 
 def lidar_described(beams: Any, names: Sequence[str]) -> LidarModel:
-    """Return the beams that a table (or a list) describes, its names in the order of :func:`lidar_of_carla`."""
+    """Build the beam table from a dict or list; ``names`` are the keys of the arguments of :func:`lidar_of_carla`."""
     values = [beams.get(name) for name in names] if isinstance(beams, dict) else beams
     return lidar_of_carla(*numbers_in(values, len(names), ", ".join(names)))
 
 
-_ROWS_MAX = 200_000  # 5 hours at 10 Hz
-_POSES_BYTES_MAX = 100_000_000
-_LINE_BYTES_MAX = 4_000_000
+_MAX_ROWS = 200_000  # 5 hours at 10 Hz
+_MAX_POSES_BYTES = 100_000_000
+_MAX_LINE_BYTES = 4_000_000
 
 POSE_COLUMNS = ("frame", "t_ns", "x", "y", "z", "roll", "pitch", "yaw")
-"""``frame`` is the number in the file's name; meters and degrees, left-handed, as ``carla.Transform`` gives them."""
+"""``frame`` is the number in the file name; meters and degrees, left-handed, as in ``carla.Transform``."""
 
 _POSE_NUMBERS = POSE_COLUMNS[2:]
 
 
 @dataclass(frozen=True, slots=True)
 class AgentPose:
-    """Where a sensor was when it measured a frame."""
+    """Pose of a sensor at the time of a frame."""
 
     t_ns: int  # time in nanoseconds
     numbers: tuple[float, ...]  # x, y, z in meters, roll, pitch, yaw in degrees, in CARLA's left-handed world
 
     @property
     def world_from_sensor(self) -> Rigid:
-        """The pose in our right-handed frames."""
+        """Pose in our right-handed frames."""
         return rigid_of_carla(self.numbers[:3], *self.numbers[3:])
 
 
 @dataclass(frozen=True, slots=True)
 class Actors:
-    """Where the actors of each tick stand in a file."""
+    """Index of the actors of each tick in a file."""
 
-    path: Path  # the file, JSON, one line a tick
-    places: Mapping[int, tuple[int, int]]  # frame → (first byte, number of bytes)
+    path: Path  # JSON file, one line a tick
+    positions: Mapping[int, tuple[int, int]]  # frame → (first byte, number of bytes)
 
     def boxes(self, frame: int, agent: str) -> tuple[ObjectBox, ...] | None:
-        """Return the boxes of a tick in the world, without the actor that carries ``agent``; None without a tick."""
-        if frame not in self.places:
+        """Return the boxes of a tick in the world, without the vehicle of ``agent``; None if the tick is missing."""
+        if frame not in self.positions:
             return None
-        start, length = self.places[frame]
+        start, length = self.positions[frame]
         with self.path.open("rb") as file:
             file.seek(start)
             line = file.read(length)
@@ -174,7 +174,7 @@ def _box(row: Mapping[str, Any]) -> ObjectBox:
 
 
 def _json_object(line: bytes | str) -> Mapping[str, Any]:
-    """Return the object on a line of JSON; a ValueError where it is something else."""
+    """Parse a line as a JSON object; raise ValueError if it is something else."""
     try:
         row = json.loads(line)
     except RecursionError as error:
@@ -185,33 +185,33 @@ def _json_object(line: bytes | str) -> Mapping[str, Any]:
 
 
 def read_actors(root: Path, path: Path, damage: list[str]) -> Actors | None:
-    """Return the actors in a file, or None where there is no such file; lines that are damaged are added to a list."""
+    """Index the actors in a file; None if there is no file. Damaged lines are reported in ``damage``."""
     if not path.is_file():
         return None
-    places: dict[int, tuple[int, int]] = {}
+    positions: dict[int, tuple[int, int]] = {}
     start = 0
     with inside(root, path).open("rb") as file:
-        for number in range(1, _ROWS_MAX + 1):
-            line = file.readline(_LINE_BYTES_MAX + 1)
+        for number in range(1, _MAX_ROWS + 1):
+            line = file.readline(_MAX_LINE_BYTES + 1)
             if not line:
-                return Actors(path, places)
-            if len(line) > _LINE_BYTES_MAX:
-                problem = f"line {number} must be at most {_LINE_BYTES_MAX} bytes"
+                return Actors(path, positions)
+            if len(line) > _MAX_LINE_BYTES:
+                problem = f"line {number} must be at most {_MAX_LINE_BYTES} bytes"
                 break
             try:
                 if line.strip():
-                    places[_whole(_json_object(line).get("frame"), "frame")] = (start, len(line))
+                    positions[_integer(_json_object(line).get("frame"), "frame")] = (start, len(line))
             except ValueError as error:
                 note_damage(damage, f"{path}: line {number} must be an object with a frame: {error}")
             start += len(line)
         else:
-            problem = f"must have at most {_ROWS_MAX} lines"
+            problem = f"must have at most {_MAX_ROWS} lines"
     note_damage(damage, f"{path}: {problem}; the rest is left out")
-    return Actors(path, places)
+    return Actors(path, positions)
 
 
 def read_poses(root: Path, folder: Path, damage: list[str]) -> dict[int, AgentPose]:
-    """Return the poses of an agent by frame; what is wrong with them is added to a list, the other rows are kept."""
+    """Read the poses of an agent by frame; invalid rows are skipped and reported in ``damage``."""
     path = next((folder / name for name in _POSES if (folder / name).is_file()), None)
     if path is None:
         note_damage(damage, f"{folder}: has no poses.csv or poses.jsonl; its sweeps have no pose and no time")
@@ -219,14 +219,14 @@ def read_poses(root: Path, folder: Path, damage: list[str]) -> dict[int, AgentPo
     poses: dict[int, AgentPose] = {}
     try:
         with open_input(inside(root, path)) as source:
-            text = source.content(_POSES_BYTES_MAX).decode("utf-8-sig", "replace")
+            text = source.content(_MAX_POSES_BYTES).decode("utf-8-sig", "replace")
         is_table = path.suffix == ".csv"
         rows: Iterable[Any] = csv.DictReader(io.StringIO(text)) if is_table else io.StringIO(text)
         for number, row in enumerate(rows, 1 + is_table):
             if isinstance(row, str) and not row.strip():
                 continue
-            if number > _ROWS_MAX:
-                raise ValueError(f"{path}: must have at most {_ROWS_MAX} lines; the rest is left out")
+            if number > _MAX_ROWS:
+                raise ValueError(f"{path}: must have at most {_MAX_ROWS} lines; the rest is left out")
             try:
                 frame, pose = _pose_in(row if isinstance(row, dict) else _json_object(row))
                 if frame in poses:
@@ -245,14 +245,14 @@ def read_poses(root: Path, folder: Path, damage: list[str]) -> dict[int, AgentPo
 
 
 def _pose_in(row: Mapping[str, Any]) -> tuple[int, AgentPose]:
-    frame, t_ns = _whole(row.get("frame"), "frame"), _whole(row.get("t_ns"), "t_ns")
+    frame, t_ns = _integer(row.get("frame"), "frame"), _integer(row.get("t_ns"), "t_ns")
     what = f"a pose ({', '.join(_POSE_NUMBERS)})"
     numbers = numbers_in([row.get(name) for name in _POSE_NUMBERS], len(_POSE_NUMBERS), what)
     return frame, AgentPose(t_ns, numbers)
 
 
-def _whole(value: object, what: str) -> int:
-    """Return a whole number of JSON or CSV that fits int64."""
+def _integer(value: object, what: str) -> int:
+    """Convert a value of JSON or CSV to an integer that fits int64."""
     text = str(value).strip() if isinstance(value, str) or type(value) is int else ""
     if re.fullmatch(r"-?[0-9]{1,18}|-?[1-8][0-9]{18}", text) is None:
         raise ValueError(f"{what} must be a whole number, got {one_line(value, 40)}")
@@ -260,11 +260,11 @@ def _whole(value: object, what: str) -> int:
 
 
 AXES = ("carla", "carla_0.9.9", "sensor")
-"""Axes of the points in the files: carla is x forward, y right, z up (what CARLA 0.9.10 and newer give);
-carla_0.9.9 is x right, y backward, z down (0.9.9 and older); sensor is x forward, y left, z up (our own)."""
+"""Axes of the points in the files: carla is x forward, y right, z up (CARLA 0.9.10 and newer);
+carla_0.9.9 is x right, y backward, z down (0.9.9 and older); sensor is x forward, y left, z up (ours)."""
 
 BEAMS = ("channels", "upper_fov_deg", "lower_fov_deg", "range_m", "points_per_second", "rotation_hz")
-"""What ``recording.json`` says about a sensor's beams: arguments of :func:`lidar_of_carla`, in this order."""
+"""Keys of ``lidar`` in ``recording.json``: arguments of :func:`lidar_of_carla`, in this order."""
 
 _SWEEPS = (".ply", ".npy", ".ply.gz", ".npy.gz")
 _POSES = ("poses.jsonl", "poses.csv")
@@ -272,7 +272,7 @@ _POSES = ("poses.jsonl", "poses.csv")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Agent:
-    """One folder of sweeps: frame → file, frame → pose, and what ``recording.json`` says about the sensor."""
+    """One folder of sweeps: frame → file, frame → pose, and the sensor as described in ``recording.json``."""
 
     files: Mapping[int, Path]
     poses: Mapping[int, AgentPose]
@@ -288,7 +288,7 @@ class _Scene:
 
 
 class CarlaRecording(RecordingSource):
-    """A recording, or a folder of recordings; each is a scene."""
+    """A CARLA recording, or a folder of recordings; each is a scene."""
 
     def __init__(self, place: Path) -> None:
         self.place = place
@@ -297,7 +297,7 @@ class CarlaRecording(RecordingSource):
         self.sweeps = {name: _refs_of(name, scene) for name, scene in self._scenes.items()}
 
     def _read(self, ref: SweepRef) -> Sweep:
-        """Return a sweep in the sensor's frame, with pose and time where the table of poses has its frame."""
+        """Read a sweep in the sensor's frame, with pose and time if the table of poses has its frame."""
         scene = self._scenes[ref.scene]
         agent = scene.agents[ref.agent]
         file_frame = "carla" if scene.axes == "carla_0.9.9" else None
@@ -312,14 +312,14 @@ class CarlaRecording(RecordingSource):
         )  # fmt: skip
 
     def _boxes(self, ref: SweepRef) -> tuple[ObjectBox, ...] | None:
-        """Return the actors of the sweep's tick, without the one that carries the sensor; None where there are none."""
+        """Return the actors of the sweep's tick, without the sensor's vehicle; None if there is no data."""
         actors = self._scenes[ref.scene].actors
         return None if actors is None else actors.boxes(int(ref.key), ref.agent)
 
 
 def _refs_of(name: str, scene: _Scene) -> list[SweepRef]:
-    """Return the sweeps of a recording by time, then agent; those without a pose come last."""
-    in_order = sorted(
+    """Return the sweeps of a recording, sorted by time, then agent; sweeps without a pose are last."""
+    ordered = sorted(
         (float("inf") if pose is None else pose.t_ns, agent, frame, str(file))
         for agent, folder in scene.agents.items()
         for frame, file in folder.files.items()
@@ -327,12 +327,12 @@ def _refs_of(name: str, scene: _Scene) -> list[SweepRef]:
     )
     return [
         SweepRef(name, index, file, None if t_ns == float("inf") else int(t_ns), agent, key=str(frame))
-        for index, (t_ns, agent, frame, file) in enumerate(in_order)
+        for index, (t_ns, agent, frame, file) in enumerate(ordered)
     ]
 
 
 def recordings_in(place: Path) -> list[Path]:
-    """Return the folders at ``place`` that are recordings: itself, or those in it."""
+    """Return the recordings at ``place``: itself, or folders in it."""
     if not place.is_dir():
         return []
     if _is_recording(place):
@@ -341,24 +341,24 @@ def recordings_in(place: Path) -> list[Path]:
 
 
 def _is_recording(folder: Path) -> bool:
-    """Return whether the folder has agents, by names alone; without any poses ``recording.json`` makes it one."""
+    """Return whether a folder has ``recording.json`` or an agent with poses, by file names alone."""
     if (folder / "recording.json").is_file():
         return True
     return any((agent / name).is_file() for agent in folder.iterdir() if agent.is_dir() for name in _POSES)
 
 
 def _open_scene(root: Path, folder: Path, damage: list[str]) -> _Scene:
-    def read_about(path: Path) -> Mapping[str, Any]:
+    def read_description(path: Path) -> Mapping[str, Any]:
         with open_input(inside(root, path)) as source:
-            return _json_object(source.content(_LINE_BYTES_MAX))
+            return _json_object(source.content(_MAX_LINE_BYTES))
 
-    about = read_optional(folder / "recording.json", read_about, damage) or {}
-    axes = about.get("axes", "carla")
+    description = read_optional(folder / "recording.json", read_description, damage) or {}
+    axes = description.get("axes", "carla")
     if axes not in AXES:
         problem = f"axes must be one of {', '.join(AXES)}, got {one_line(axes, 40)}; took carla"
         note_damage(damage, f"{folder / 'recording.json'}: {problem}")
         axes = "carla"
-    sensors = about.get("agents")
+    sensors = description.get("agents")
     sensors = sensors if isinstance(sensors, dict) else {}
     agents = {
         path.name: _open_agent(root, path, sensors.get(path.name), damage)
@@ -392,7 +392,7 @@ def _open_agent(root: Path, folder: Path, sensor: Any, damage: list[str]) -> _Ag
 
 
 def _sensor(sensor: Any, folder: Path, damage: list[str]) -> tuple[LidarModel | None, float | None]:
-    """Return beams and height of a sensor as ``recording.json`` describes it."""
+    """Return beam table and height of a sensor described in ``recording.json``."""
     if not isinstance(sensor, dict):
         return None, None
     try:

@@ -1,4 +1,4 @@
-"""KITTI: raw drives, odometry sequences and the object set, as they are unpacked, with their annotated objects."""
+"""Read KITTI: raw drives, odometry sequences and the object set, with their annotated objects."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from viewshed.recordings.read._kitti_files import (
     text_lines,
     times_of,
 )
-from viewshed.recordings.read.source import ObjectBox, RecordingSource, SweepRef, note_damage, numbered, problems_of
+from viewshed.recordings.read.source import ObjectBox, RecordingSource, SweepRef, error_prefix, note_damage, numbered
 from viewshed.sweep import Sweep
 
 if TYPE_CHECKING:
@@ -39,7 +39,7 @@ SENSOR_HEIGHT_M = 1.73
 
 
 class _Kitti(RecordingSource):
-    """What the three layouts share: sweeps named by numbers, with KITTI's beams and height, and perhaps poses."""
+    """Base of the three layouts: numbered sweeps with KITTI's beam table and sensor height, and optional poses."""
 
     def __init__(self, place: Path, root: Path | None = None) -> None:
         self.place, self.root = place, place if root is None else root
@@ -48,7 +48,7 @@ class _Kitti(RecordingSource):
         self._tracks: dict[str, PoseTrack] = {}
 
     def _read(self, ref: SweepRef) -> Sweep:
-        """Return a sweep with beams and height, its time where there is one, its pose unless the scene has none."""
+        """Read a sweep with beam table and sensor height, and with time and pose if the scene has them."""
         sweep = read_sweep(
             inside(self.root, ref.file), format="kitti", sensor=SENSOR, sensor_height_m=SENSOR_HEIGHT_M,
             world_from_sensor=self._pose(ref),
@@ -56,7 +56,7 @@ class _Kitti(RecordingSource):
         return sweep if ref.t_ns is None else sweep.replace(t_ns=ref.t_ns)
 
     def _add_scene(self, name: str, folder: Path, stamps: Path | None = None, *, seconds: bool = False) -> None:
-        """Add the sweeps of a folder, in the order of their times where all have one, else of their numbers."""
+        """Add the sweeps of a folder, sorted by time if all have one, else by number."""
         files = numbered(folder.glob("*.bin"), self.problems)
         times: Sequence[int | None] = [None] * len(files)
         if stamps is not None:
@@ -76,20 +76,20 @@ class _Kitti(RecordingSource):
     def _pose(self, ref: SweepRef) -> Rigid | None:
         if ref.scene not in self._tracks:
             return None
-        with problems_of(f"{ref.file}: has no pose"):
+        with error_prefix(f"{ref.file}: has no pose"):
             return self._tracks[ref.scene](ref.key)
 
 
 class KittiRaw(_Kitti):
-    """Drives of KITTI raw (synchronized and rectified): a drive, a date with its drives, or the folder of the dates.
+    """Drives of KITTI raw (synchronized and rectified): a drive, a date with its drives, or a folder of dates.
 
-    The world of a drive is east, north, up from where its first pose was recorded. The damage of tracklets joins that
-    of the recording when boxes of their drive are first needed.
+    The world of a drive is east, north, up with its origin at the first pose. Tracklets of a drive are read, and their
+    damage reported, when its boxes are first requested.
     """
 
     def __init__(self, place: Path) -> None:
         drives = drives_in(place)
-        super().__init__(place, place.parent if place in drives else place)  # calibration lies beside a drive
+        super().__init__(place, place.parent if place in drives else place)  # its calibration is in the parent folder
         self._tracklets: dict[str, Tracklets | None] = {}
         for drive in drives:
             points = drive / "velodyne_points"
@@ -97,12 +97,12 @@ class KittiRaw(_Kitti):
             self._add_poses(drive.name, drive.name, partial(inertial_track, self.root, drive))
 
     def _boxes(self, ref: SweepRef) -> tuple[ObjectBox, ...] | None:
-        """Return the objects of the drive's tracklets; None where it has no such file."""
+        """Return the objects of the drive's tracklets; None if it has no such file."""
         if ref.scene not in self._tracklets:
-            file = Path(ref.file).parents[2] / FILE
-            read = Tracklets.read(inside(self.root, file)) if file.is_file() else None
-            self._tracklets[ref.scene] = read
-            for problem in () if read is None else read.damage:
+            file = Path(ref.file).parents[2] / TRACKLETS_FILE
+            tracklets = Tracklets.read(inside(self.root, file)) if file.is_file() else None
+            self._tracklets[ref.scene] = tracklets
+            for problem in () if tracklets is None else tracklets.damage:
                 note_damage(self.problems, problem)
         tracklets = self._tracklets[ref.scene]
         return None if tracklets is None else tracklets.of(int(ref.key), self._pose(ref) or Rigid.identity())
@@ -111,8 +111,8 @@ class KittiRaw(_Kitti):
 class KittiOdometry(_Kitti):
     """Sequences of KITTI odometry, in the folder that holds ``sequences`` and ``poses``.
 
-    The world of a sequence is the LiDAR's frame at its first sweep, so its z is only nearly vertical. Times are those
-    since the first sweep. Sequences without a file of poses (11 to 21) are read without poses.
+    The world of a sequence is the LiDAR's frame at its first sweep, so its z is only nearly vertical. Times count from
+    the first sweep. Sequences without a file of poses (11 to 21) are read without poses.
     """
 
     def __init__(self, place: Path) -> None:
@@ -120,7 +120,7 @@ class KittiOdometry(_Kitti):
         for folder in sequences_in(place):
             sequence = folder.parent
             self._add_scene(sequence.name, folder, sequence / "times.txt", seconds=True)
-            # KITTI's own file of poses, else the one that SemanticKITTI puts into the sequence.
+            # KITTI's file of poses, else that of SemanticKITTI, which is in the folder of the sequence.
             candidates = (place / "poses" / f"{sequence.name}.txt", sequence / "poses.txt")
             for poses in [file for file in candidates if file.is_file()][:1]:
                 what, calibration = f"sequence {sequence.name}", sequence / "calib.txt"
@@ -128,10 +128,9 @@ class KittiOdometry(_Kitti):
 
 
 class KittiObject(_Kitti):
-    """KITTI's object set, scenes ``training`` and ``testing``, as far as they are there.
+    """KITTI's object set: scenes ``training`` and ``testing``, if present.
 
-    The sweeps of a scene do not belong together: they have neither time nor pose, and the boxes of each are in the
-    frame of its sensor.
+    Its sweeps are unrelated: they have no time and no pose, and boxes are in the frame of the sensor.
     """
 
     def __init__(self, place: Path) -> None:
@@ -140,7 +139,7 @@ class KittiObject(_Kitti):
             self._add_scene(folder.parent.name, folder)
 
     def _boxes(self, ref: SweepRef) -> tuple[ObjectBox, ...] | None:
-        """Return the labeled objects in front of the car, in the sensor's frame; None where there are no labels."""
+        """Return the labeled objects in front of the car, in the sensor's frame; None if there are no labels."""
         scene = self.root / ref.scene
         if not (scene / "label_2").is_dir():
             return None
@@ -148,7 +147,7 @@ class KittiObject(_Kitti):
 
 
 def drives_in(place: Path) -> list[Path]:
-    """Return the drives of KITTI raw at a place, itself perhaps one."""
+    """Return the drives of KITTI raw at a place: itself, or folders up to two levels below."""
     depths = ("", "*/", "*/*/")
     return sorted({data.parents[1] for depth in depths for data in place.glob(f"{depth}velodyne_points/data")})
 
@@ -164,14 +163,14 @@ def parts_in(place: Path) -> list[Path]:
     return [folder for folder in folders if folder.is_dir()]
 
 
-FILE = "tracklet_labels.xml"
-"""Name of the file of tracklets, in the folder of the drive."""
+TRACKLETS_FILE = "tracklet_labels.xml"
+"""Name of the tracklets file, in the folder of the drive."""
 
 _IGNORED = "DontCare"
-_NUMBERS = 14
-_MOST_BYTES = 64_000_000
-_MOST_ELEMENTS = 500_000  # 1000 sweeps with 30 objects each have 400,000
-_DEPTH_MAX = 16
+_LABEL_NUMBERS = 14
+_MAX_BYTES = 64_000_000
+_MAX_ELEMENTS = 500_000  # 1000 sweeps with 30 objects each have 400,000
+_MAX_DEPTH = 16
 _SIZE = ("l", "w", "h")
 _POSE = ("tx", "ty", "tz", "rz")
 
@@ -179,11 +178,11 @@ _POSE = ("tx", "ty", "tz", "rz")
 def velodyne_from_camera(root: Path, calibration: Path) -> Rigid:
     """Return the transform from the rectified camera (x right, y down, z forward) to the LiDAR.
 
-    The inverse of ``R0_rect * Tr_velo_to_cam``, as in the readme of KITTI's development kit.
+    It is the inverse of ``R0_rect * Tr_velo_to_cam``, as in the readme of KITTI's development kit.
     """
     texts = named_texts(root, calibration)
     where = f"{calibration}, R0_rect"
-    with problems_of(where):
+    with error_prefix(where):
         rectification = Rigid(numbers_of(texts.get("R0_rect", ""), 9, where).reshape(3, 3), np.zeros(3))
     return (rectification @ rigid_named(root, calibration, "Tr_velo_to_cam")).inverse()
 
@@ -198,15 +197,15 @@ def read_labels(root: Path, labels: Path, calibration: Path) -> tuple[ObjectBox,
 
 
 def _box(line: str, where: str, velodyne_from_camera: Rigid) -> ObjectBox:
-    """Return the box of a line: type, truncated, occluded, alpha, 4 of the image, height, width, length, x, y, z, ry.
+    """Parse a label: type, truncated, occluded, alpha, 4 image coordinates, height, width, length, x, y, z, ry.
 
-    (x, y, z) is the middle of the bottom in the camera's frame, ry turns about its y axis, which points down.
+    (x, y, z) is the center of the bottom in the camera's frame, ry the rotation about its y axis, which points down.
     """
     category, _, rest = line.partition(" ")
-    *_, height, width, length, x, y, z, turn = numbers_of(rest, _NUMBERS, where)
-    c, s = np.cos(turn), np.sin(turn)
+    *_, height, width, length, x, y, z, ry = numbers_of(rest, _LABEL_NUMBERS, where)
+    c, s = np.cos(ry), np.sin(ry)
     camera_from_box = Rigid(np.array([[c, s, 0.0], [0.0, 0.0, -1.0], [-s, c, 0.0]]), np.array([x, y - height / 2.0, z]))
-    with problems_of(where):
+    with error_prefix(where):
         return ObjectBox(velodyne_from_camera @ camera_from_box, (length, width, height), category)
 
 
@@ -214,25 +213,25 @@ def _box(line: str, where: str, velodyne_from_camera: Rigid) -> ObjectBox:
 class _Track:
     """One object over time."""
 
-    name: str  # its number in the file
-    category: str  # what it is
+    name: str  # number in the file
+    category: str  # object type
     size_m: tuple[float, float, float]  # length, width, height
     first: int  # frame of its first pose
-    # (F, 4) float64: middle of its bottom in the LiDAR's frame, meters, and heading; NaN where damaged
+    # (F, 4) float64: center of the bottom in the LiDAR's frame, meters, and heading; NaN if damaged
     poses: NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Tracklets:
-    """The objects of one drive, from :meth:`read`."""
+    """The objects of one drive, read by :meth:`read`."""
 
     place: Path  # the file
     tracks: tuple[_Track, ...]  # its objects
-    damage: tuple[str, ...]  # one line for each object that had to be left out, or that has fewer poses than it says
+    damage: tuple[str, ...]  # one line for each dropped object, and for each with another number of poses than stated
 
     @classmethod
     def read(cls, place: Path) -> Tracklets:
-        """Return the objects in a file, which must be XML that holds tracklets."""
+        """Read the objects in an XML file of tracklets."""
         tracks: list[_Track] = []
         damage: list[str] = []
         with open_input(place) as source:
@@ -249,7 +248,7 @@ class Tracklets:
         return cls(place, tuple(tracks), tuple(damage))
 
     def of(self, frame: int, world_from_velodyne: Rigid) -> tuple[ObjectBox, ...]:
-        """Return the objects of the sweep with this number, in the world."""
+        """Return the objects of sweep number ``frame``, in the world."""
         return tuple(
             self._box(track, frame, world_from_velodyne)
             for track in self.tracks
@@ -257,19 +256,19 @@ class Tracklets:
         )
 
     def _box(self, track: _Track, frame: int, world_from_velodyne: Rigid) -> ObjectBox:
-        """Return one object; as in ``run_demoTracklets.m`` of the development kit z is that of the bottom."""
+        """Return one object; z is at the bottom, as in ``run_demoTracklets.m`` of the development kit."""
         x, y, z, yaw = track.poses[frame - track.first].tolist()
-        with problems_of(f"{self.place}, tracklet {track.name}, frame {frame}"):
+        with error_prefix(f"{self.place}, tracklet {track.name}, frame {frame}"):
             velodyne_from_box = Rigid.from_yaw(yaw, (x, y, z + track.size_m[2] / 2))
             return ObjectBox(world_from_velodyne @ velodyne_from_box, track.size_m, track.category, track.name)
 
 
 def _items(source: InputFile) -> Iterator[Element]:
-    """Yield the tracklets of a file one by one, so that they never all are in memory."""
+    """Yield the tracklets of a file one by one, to limit memory."""
     from xml.etree import ElementTree
 
-    content = source.content(_MOST_BYTES)
-    if b"<!ENTITY" in content or b"\0" in content:  # such text can grow without end; UTF-16 could hide it
+    content = source.content(_MAX_BYTES)
+    if b"<!ENTITY" in content or b"\0" in content:  # entities can expand without limit; UTF-16 could hide them
         raise ValueError("must be XML without entities of its own")
     path: list[Element] = []
     elements = 0
@@ -279,8 +278,8 @@ def _items(source: InputFile) -> Iterator[Element]:
             if event == "start":
                 path.append(element)
                 elements += 1
-                if len(path) > _DEPTH_MAX or elements > _MOST_ELEMENTS:
-                    raise ValueError(f"must have at most {_MOST_ELEMENTS} elements, {_DEPTH_MAX} deep")
+                if len(path) > _MAX_DEPTH or elements > _MAX_ELEMENTS:
+                    raise ValueError(f"must have at most {_MAX_ELEMENTS} elements, {_MAX_DEPTH} deep")
                 continue
             path.pop()
             tags = [parent.tag for parent in path[1:]]
@@ -310,7 +309,7 @@ def _track(item: Element, name: str, where: str) -> _Track:
 
 
 def _pose(item: Element) -> NDArray[np.float64]:
-    """Return x, y, z and heading (4,); NaN where one is damaged."""
+    """Return x, y, z and heading (4,); all NaN if one is damaged."""
     try:
         return numbers_of(_texts(item, _POSE), len(_POSE), "")
     except ValueError:
@@ -318,6 +317,6 @@ def _pose(item: Element) -> NDArray[np.float64]:
 
 
 def _texts(item: Element, names: tuple[str, ...]) -> str:
-    """Return what stands under some names, in their order; ``?`` where it is no single word."""
+    """Return the texts of some child elements, joined by blanks; ``?`` if a text is not a single word."""
     texts = (item.findtext(name, "").split() for name in names)
     return " ".join(words[0] if len(words) == 1 else "?" for words in texts)

@@ -1,4 +1,4 @@
-"""OPV2V and data sets of its layout: SCENARIO/AGENT/000068.pcd with 000068.yaml, points and poses as CARLA gives them.
+"""Read OPV2V and data sets of its layout: SCENARIO/AGENT/000068.pcd with 000068.yaml, in CARLA's axes.
 
 The layout is that of OpenCDA's ``data_dumper.py``, which recorded OPV2V.
 """
@@ -20,17 +20,17 @@ from viewshed.sensors import LidarModel
 from viewshed.sweep import Sweep
 
 STEP_S = 0.05
-"""Seconds from one frame number to the next, where ``data_protocol.yaml`` does not tell; OpenCDA's default."""
+"""Seconds a frame number if ``data_protocol.yaml`` does not state it; OpenCDA's default."""
 
 _PROTOCOL = "data_protocol.yaml"
 _HEIGHTS_M = (0.5, 5.0)
-_FRAME_DIGITS = 9
+_MAX_FRAME_DIGITS = 9
 _LIDAR = ("channels", "upper_fov", "lower_fov", "range", "points_per_second", "rotation_frequency")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Scenario:
-    """One scenario: agent → frame → file of points, the step of its frame numbers, and its sensors."""
+    """One scenario: agent → frame → PCD file, seconds a frame number, and beam tables."""
 
     agents: Mapping[str, Mapping[int, Path]]
     step_s: float
@@ -39,7 +39,7 @@ class _Scenario:
 
 
 class Opv2v(RecordingSource):
-    """Scenarios with their agents; a scene is a scenario, agents have the names of their folders."""
+    """OPV2V scenarios; each is a scene, and each of its folders an agent."""
 
     def __init__(self, place: Path) -> None:
         load_pyyaml()
@@ -49,22 +49,22 @@ class Opv2v(RecordingSource):
         self.sweeps = {name: _refs_of(name, scenario) for name, scenario in self._scenarios.items()}
 
     def _read(self, ref: SweepRef) -> Sweep:
-        """Return a sweep in the sensor's frame, with its pose; without one where its YAML file is not there."""
+        """Read a sweep in the sensor's frame, with its pose if its YAML file exists."""
         scenario = self._scenarios[ref.scene]
-        about = _about(self.place, ref)
-        pose = None if about is None else _pose(about, ref)
+        metadata = _read_metadata(self.place, ref)
+        pose = None if metadata is None else _pose(metadata, ref)
         model = scenario.roadside_lidar if _is_roadside(ref.agent) else scenario.vehicle_lidar
         return mirrored(read_sweep(inside(self.place, ref.file))).replace(
             agent=ref.agent, t_ns=ref.t_ns, world_from_sensor=pose, model=model,
-            sensor_height_m=None if about is None or pose is None else _height_m(about, pose, ref),
+            sensor_height_m=None if metadata is None or pose is None else _height_m(metadata, pose, ref),
         )  # fmt: skip
 
     def _boxes(self, ref: SweepRef) -> tuple[ObjectBox, ...] | None:
-        """Return the vehicles that the agent's own YAML file names, in the world; None where there is no such file."""
-        about = _about(self.place, ref)
-        if about is None:
+        """Return the vehicles in the agent's YAML file, in the world; None if there is no file."""
+        metadata = _read_metadata(self.place, ref)
+        if metadata is None:
             return None
-        vehicles = about.get("vehicles") or {}
+        vehicles = metadata.get("vehicles") or {}
         if not isinstance(vehicles, dict):
             raise ValueError(f"{_yaml_of(ref.file)}: vehicles must be a mapping, got {type(vehicles).__name__}")
         try:
@@ -74,20 +74,20 @@ class Opv2v(RecordingSource):
 
 
 def _refs_of(name: str, scenario: _Scenario) -> list[SweepRef]:
-    """Return the sweeps of a scenario by time, then agent."""
-    in_order = sorted(
+    """Return the sweeps of a scenario, sorted by time, then agent."""
+    ordered = sorted(
         (frame, position, agent, str(file))
         for position, (agent, files) in enumerate(scenario.agents.items())
         for frame, file in files.items()
     )
     return [
         SweepRef(name, index, file, round(frame * scenario.step_s * 1e9), agent)
-        for index, (frame, _, agent, file) in enumerate(in_order)
+        for index, (frame, _, agent, file) in enumerate(ordered)
     ]
 
 
 def scenarios_in(place: Path) -> Iterator[tuple[str, Path]]:
-    """Yield name and folder of the scenarios at a place, in alphabetical order; with the split before the name."""
+    """Yield (name, folder) of the scenarios at a place, sorted; the name is prefixed by the split, if any."""
     if _is_scenario(place):
         yield place.resolve().name, place
         return
@@ -109,12 +109,12 @@ def _folders(place: Path) -> list[Path]:
 def _numbered(folder: Path, suffix: str) -> Iterator[Path]:
     return (
         path for path in folder.iterdir()
-        if path.suffix == suffix and path.stem.isascii() and path.stem.isdigit() and len(path.stem) <= _FRAME_DIGITS
+        if path.suffix == suffix and path.stem.isascii() and path.stem.isdigit() and len(path.stem) <= _MAX_FRAME_DIGITS
     )  # fmt: skip
 
 
 def _is_roadside(agent: str) -> bool:
-    """Return whether the agent stands at the roadside: data sets of this layout give those negative numbers."""
+    """Return whether an agent is a roadside unit: these have negative numbers in data sets of this layout."""
     return agent.startswith("-")
 
 
@@ -129,7 +129,7 @@ def _open_scenario(root: Path, folder: Path, damage: list[str]) -> _Scenario:
             agents[path.name] = files
     protocol = read_optional(folder / _PROTOCOL, lambda path: read_yaml(inside(root, path)), damage)
     vehicle, roadside = (_lidar(protocol, part, folder, damage) for part in ("vehicle_base", "rsu_base"))
-    step_s = _at(protocol, ("world", "fixed_delta_seconds"))
+    step_s = _nested_value(protocol, ("world", "fixed_delta_seconds"))
     usable = isinstance(step_s, float) and 0 < step_s < 10
     return _Scenario(agents, step_s if usable else STEP_S, vehicle, roadside)
 
@@ -140,47 +140,47 @@ def _note_frames(damage: list[str], folder: Path, frames: Iterable[int], problem
         note_damage(damage, f"{folder}: {len(numbers)} frame(s) {problem}, the first is {numbers[0]:06d}")
 
 
-def _at(tree: Any, keys: Iterable[str]) -> Any:
+def _nested_value(tree: Any, keys: Iterable[str]) -> Any:
     for key in keys:
         tree = tree.get(key) if isinstance(tree, dict) else None
     return tree
 
 
 def _lidar(protocol: Any, part: str, folder: Path, damage: list[str]) -> LidarModel | None:
-    about = _at(protocol, (part, "sensing", "perception", "lidar"))
-    if about is None:
+    metadata = _nested_value(protocol, (part, "sensing", "perception", "lidar"))
+    if metadata is None:
         return None
     try:
-        return lidar_described(about, _LIDAR)
+        return lidar_described(metadata, _LIDAR)
     except ValueError as error:
         note_damage(damage, f"{folder / _PROTOCOL}: does not describe the lidar of {part}: {error}")
         return None
 
 
-def _about(root: Path, ref: SweepRef) -> Mapping[str, Any] | None:
-    """Return what the YAML file beside a sweep says, or None where there is no such file."""
+def _read_metadata(root: Path, ref: SweepRef) -> Mapping[str, Any] | None:
+    """Read the YAML file of a sweep; None if there is no file."""
     path = _yaml_of(ref.file)
     if not path.is_file():
         return None
-    about = read_yaml(inside(root, path))
-    if not isinstance(about, dict):
-        raise ValueError(f"{path}: must be a mapping, got {type(about).__name__}")
-    return about
+    metadata = read_yaml(inside(root, path))
+    if not isinstance(metadata, dict):
+        raise ValueError(f"{path}: must be a mapping, got {type(metadata).__name__}")
+    return metadata
 
 
 def _yaml_of(file: str) -> Path:
     return Path(file).with_suffix(".yaml")
 
 
-def _pose(about: Mapping[str, Any], ref: SweepRef) -> Rigid:
+def _pose(metadata: Mapping[str, Any], ref: SweepRef) -> Rigid:
     what = f"{_yaml_of(ref.file)}: lidar_pose (x, y, z, roll, yaw, pitch)"
-    x, y, z, roll, yaw, pitch = numbers_in(about.get("lidar_pose"), 6, what)
+    x, y, z, roll, yaw, pitch = numbers_in(metadata.get("lidar_pose"), 6, what)
     return rigid_of_carla((x, y, z), roll, pitch, yaw)
 
 
-def _height_m(about: Mapping[str, Any], pose: Rigid, ref: SweepRef) -> float | None:
-    """Return how far the sensor is above its vehicle's origin, which CARLA has on the road; None at the roadside."""
-    vehicle = about.get("true_ego_pos")
+def _height_m(metadata: Mapping[str, Any], pose: Rigid, ref: SweepRef) -> float | None:
+    """Return the height of the sensor above its vehicle's origin, in CARLA on the road; None for roadside units."""
+    vehicle = metadata.get("true_ego_pos")
     if _is_roadside(ref.agent) or not isinstance(vehicle, list) or len(vehicle) < 3:
         return None
     _, _, z = numbers_in(vehicle[:3], 3, f"{_yaml_of(ref.file)}: true_ego_pos (x, y, z)")

@@ -1,4 +1,4 @@
-"""ROS 1 bags, ROS 2 bags and MCAP files: clouds, packets and laser scans as sweeps, poses from tf and odometry."""
+"""Read ROS 1 bags, ROS 2 bags and MCAP files: sweeps from clouds, packets and scans, poses from tf and odometry."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from viewshed.io._input import one_line
 from viewshed.io.messages.hesai import PANDAR, sweep_of_hesai
 from viewshed.io.messages.laserscan import sweep_of_scan
 from viewshed.io.messages.livox import sweep_of_livox
-from viewshed.io.messages.packets import UNREAD, sweep_of_ouster, sweep_of_velodyne
+from viewshed.io.messages.packets import UNSUPPORTED, sweep_of_ouster, sweep_of_velodyne
 from viewshed.io.messages.pointcloud2 import sweep_of_cloud
 from viewshed.io.ouster_packets import OusterDecoder, OusterMetadata
 from viewshed.recordings.read.bag_files import BagFile, Message, bags_in, open_bag
@@ -39,22 +39,22 @@ OUSTER = ("ouster_sensor_msgs/msg/PacketMsg", "ouster_ros/msg/PacketMsg")
 LIVOX = ("livox_ros_driver2/msg/CustomMsg", "livox_ros_driver/msg/CustomMsg")
 
 RETURNS = ((CLOUD,), (VELODYNE, *OUSTER, *PANDAR, *LIVOX), (SCAN,))
-"""Types of messages that hold a LiDAR's returns, the preferred ones first: what one sensor tells twice is read once."""
+"""Message types with LiDAR returns, in order of preference: a sensor recorded in two types is read once."""
 
 OUSTER_FRAME = "os_sensor"
-"""The frame of the returns that Ouster's packets hold: their messages have no header."""
+"""Frame of the returns in Ouster's packets, as their messages have no header."""
 
 FOOTPRINT = "base_footprint"
-"""The frame on the ground below a robot (ROS enhancement proposal 120); it tells the height of the sensor.
+"""Frame on the ground below a robot (ROS enhancement proposal 120); gives the height of the sensor.
 
-That of one robot of several has its name before it, as the frame of its sensor has: ``car_0/base_footprint``."""
+With several robots it has the prefix of the sensor's frame: ``car_0/base_footprint``."""
 
 _ODOMETRY_CHILD = "base_link"
 
 
 @lru_cache(maxsize=2)
 def decoder(encoding: str) -> Callable[[bytes, str], Any]:
-    """Return what turns the bytes of a message and the name of its type into an object."""
+    """Return the deserializer: (bytes of a message, name of its type) → message object."""
     with needed_for("reading a bag"):
         from rosbags.typesys import Stores, get_types_from_msg, get_typestore
     if encoding == "ros1":
@@ -89,18 +89,18 @@ _DEFINITIONS = {
         for kind in LIVOX
     },
 }
-"""Of messages that rosbags does not bring."""
+"""Definitions of message types that rosbags lacks."""
 
 
-_MOST_TILT_DEG = 10.0
-"""A 2-D laser on a robot that drives over a curb tilts by less."""
+_MAX_TILT_DEG = 10.0
+"""Tilts below this are normal for a 2-D laser, for example of a robot that drives over a curb."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Cloud:
-    """One sweep as listed: topic and type of its message, its header, and where it is.
+    """One listed sweep: topic and type of its message, its header, and the position of the message in the bag.
 
-    That of a revolution in several messages names all their places, with blanks between.
+    If a revolution spans several messages, ``where`` has the positions of all, separated by blanks.
     """
 
     topic: str
@@ -112,12 +112,12 @@ class _Cloud:
 
 @dataclass(slots=True, eq=False)
 class _Contents:
-    """What one pass over a bag gives."""
+    """Contents of a bag, collected in one pass."""
 
     clouds: list[_Cloud] = field(default_factory=list)
     transforms: TransformBuffer = field(default_factory=TransformBuffer)
     odometry: dict[str, list[Any]] = field(default_factory=dict)
-    # of each frame that odometry places with a covariance (6, 6): times, ascending, and these
+    # child frame of odometry with covariance → ascending times, and covariances (6, 6)
     covariances: dict[str, tuple[list[int], list[F64]]] = field(default_factory=dict)
     worlds: list[str] = field(default_factory=lambda: list(WORLDS))
     metadata: dict[str, str] = field(default_factory=dict)
@@ -126,29 +126,29 @@ class _Contents:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Bag:
-    """One bag as listed."""
+    """Index of one bag."""
 
-    root: Path  # the recording that it belongs to
-    path: Path  # where it lies
-    refs: tuple[SweepRef, ...]  # its clouds, in the order of time
-    # of each ``world_from_sensor``, the covariance (6, 6) of that as odometry states it, and the height of the sensor
-    # above the ground; None for what is not known
+    root: Path  # root of the recording
+    path: Path  # its location
+    refs: tuple[SweepRef, ...]  # its clouds, in time order
+    # for each ref: ``world_from_sensor``, covariance (6, 6) of that from odometry, and sensor height above the ground;
+    # None if unknown
     places: tuple[tuple[Rigid | None, F64 | None, float | None], ...]
-    encoding: str  # how its messages are written, ``cdr`` or ``ros1``
-    kinds: Mapping[str, str]  # type of the messages of each topic with sweeps
-    metadata: Mapping[str, str]  # of each topic with Ouster packets
-    notes: tuple[str, ...] = ()  # what it lacks, and which topics are not read
+    encoding: str  # serialization of its messages, ``cdr`` or ``ros1``
+    kinds: Mapping[str, str]  # topic with sweeps → message type
+    metadata: Mapping[str, str]  # topic with Ouster packets → metadata JSON
+    notes: tuple[str, ...] = ()  # missing data, and topics that are not read
 
 
 def scan_bag(root: Path, scene: str, path: Path, damage: list[str], topic: str | None = None) -> Bag | None:
-    """Return what a bag holds, or None where it has no clouds; what is wrong is added to ``damage``.
+    """Index a bag in one pass; None if it has no clouds. Problems are appended to ``damage``.
 
     Args:
-        root: the recording that it belongs to.
-        scene: its name there.
-        path: where it lies.
-        damage: lines are added to it.
-        topic: whose messages are read; None is all of the preferred type.
+        root: root of the recording.
+        scene: scene name of the bag.
+        path: the bag.
+        damage: one line is appended for each problem.
+        topic: topic to read; None reads all topics of the preferred message type.
     """
     try:
         file = open_bag(root, path)
@@ -157,7 +157,7 @@ def scan_bag(root: Path, scene: str, path: Path, damage: list[str], topic: str |
         return None
     contents, encoding = _Contents(), "cdr"
     try:
-        for message in file.messages((*_SWEEP_OF, STRING, ODOMETRY, *TRANSFORMS)):
+        for message in file.messages((*_CONVERTERS, STRING, ODOMETRY, *TRANSFORMS)):
             encoding = message.encoding
             _add_message(contents, message, damage)
         if not any(cloud.kind == CLOUD for cloud in contents.clouds) and set(OUSTER) & set(file.types.values()):
@@ -170,14 +170,14 @@ def scan_bag(root: Path, scene: str, path: Path, damage: list[str], topic: str |
         types = file.types
         file.close()
     _note_topics(types, contents, damage, topic)
-    return _bag_of(root, scene, path, contents, encoding, damage) if contents.clouds else None
+    return _build_bag(root, scene, path, contents, encoding, damage) if contents.clouds else None
 
 
 def _add_message(contents: _Contents, message: Message, damage: list[str]) -> None:
     try:
         if message.encoding not in ("cdr", "ros1"):
             raise ValueError(f"messages must be written as cdr or ros1, got {message.encoding!r}")
-        if message.kind in _SWEEP_OF:
+        if message.kind in _CONVERTERS:
             t_ns, frame = _header(message)
             contents.clouds.append(_Cloud(message.topic, message.kind, t_ns, frame, message.where))
             return
@@ -195,9 +195,9 @@ def _add_message(contents: _Contents, message: Message, damage: list[str]) -> No
 
 
 def _header(message: Message) -> tuple[int, str]:
-    """Return stamp (ns) and frame of a message that begins with a header; the time of recording where it has no stamp.
+    """Return stamp (ns) and frame of a message that begins with a header; a zero stamp gives the recording time.
 
-    The clouds are not decoded for that: a bag is listed as fast as it is read.
+    Reads only the header, so that a bag is indexed without decoding its clouds.
     """
     raw = message.raw
     little = message.encoding == "ros1" or raw[1:2] in (b"\x01", b"\x03")
@@ -217,143 +217,142 @@ def _add_transforms(contents: _Contents, decoded: Any, static: bool, damage: lis
             note_damage(damage, f"tf: {one_line(error)}; left out")
 
 
-def _add(buffer: TransformBuffer, header: Any, child: str, where: Any, turn: Any, *, static: bool = False) -> None:
+def _add(buffer: TransformBuffer, header: Any, child: str, position: Any, q: Any, *, static: bool = False) -> None:
     t_ns = header.stamp.sec * 1_000_000_000 + header.stamp.nanosec
-    buffer.add(
-        header.frame_id, child, t_ns, (where.x, where.y, where.z), (turn.w, turn.x, turn.y, turn.z), static=static
-    )
+    translation = (position.x, position.y, position.z)
+    buffer.add(header.frame_id, child, t_ns, translation, (q.w, q.x, q.y, q.z), static=static)
 
 
 _METADATA = "/metadata"
-"""End of the topic on which Ouster's drivers publish the metadata of the packets beside it."""
+"""Last part of the topic on which Ouster's drivers publish the metadata."""
 
 
 def _add_ouster(contents: _Contents, file: BagFile, path: Path, damage: list[str]) -> str:
-    """Add the revolutions of Ouster packets, and return how their messages are written.
+    """Group Ouster packets to revolutions and add these as clouds; return the serialization of the messages.
 
-    A revolution that is cut off by the beginning or the end of the bag is left out where there is another.
+    The first and the last revolution of a topic are dropped if they have fewer packets than the longest one.
     """
     encoding = "cdr"
     decoders: dict[str, OusterDecoder | None] = {}
-    turns: dict[str, list[list[_Cloud]]] = {}
-    numbers: dict[str, tuple[int | None, int | None]] = {}  # of the revolution before, and of this one
+    revolutions: dict[str, list[list[_Cloud]]] = {}  # by topic: the packets of each revolution
+    numbers: dict[str, tuple[int | None, int | None]] = {}  # by topic: frame number of the previous and this revolution
     for message in file.messages(OUSTER):
         topic, encoding = message.topic, message.encoding
         if topic not in decoders:
             decoders[topic] = _ouster_decoder(contents, topic, path, damage)
         decode = decoders[topic]
         number = None if decode is None else decode.frame_number(_packet_of(message.raw, encoding))
-        before, now = numbers.get(topic, (None, None))
-        if number is None or number == before:  # of another kind, or late
+        previous, current = numbers.get(topic, (None, None))
+        if number is None or number == previous:  # another kind of packet, or a late one
             continue
         packet = _Cloud(topic, message.kind, message.t_ns, OUSTER_FRAME, message.where)
-        if number != now:
-            turns.setdefault(topic, []).append([])
-            numbers[topic] = now, number
-        turns[topic][-1].append(packet)
-    for of_topic in turns.values():
-        most = max(map(len, of_topic))
-        for place, turn in enumerate(of_topic):
-            if len(turn) == most or place not in (0, len(of_topic) - 1):
-                contents.clouds.append(replace(turn[0], where=" ".join(packet.where for packet in turn)))
+        if number != current:
+            revolutions.setdefault(topic, []).append([])
+            numbers[topic] = current, number
+        revolutions[topic][-1].append(packet)
+    for groups in revolutions.values():
+        max_packets = max(map(len, groups))
+        for index, packets in enumerate(groups):
+            if len(packets) == max_packets or index not in (0, len(groups) - 1):
+                contents.clouds.append(replace(packets[0], where=" ".join(packet.where for packet in packets)))
     return encoding
 
 
 def _ouster_decoder(contents: _Contents, topic: str, path: Path, damage: list[str]) -> OusterDecoder | None:
-    """Return what decodes the packets of a topic, by the metadata of the bag or by those beside it."""
+    """Return the decoder of a topic's packets, with metadata from the bag or the JSON file beside it; else None."""
     try:
-        own = contents.metadata.get(topic.rpartition("/")[0] + _METADATA)
-        if own is None:
-            beside = path.with_suffix(".json")
-            if not beside.is_file():
-                raise ValueError(f"its metadata must be in the bag or beside it as {beside.name}")
-            own = beside.read_text(encoding="utf-8")
-        found = OusterDecoder(OusterMetadata.parse(own))
+        metadata = contents.metadata.get(topic.rpartition("/")[0] + _METADATA)
+        if metadata is None:
+            file = path.with_suffix(".json")
+            if not file.is_file():
+                raise ValueError(f"its metadata must be in the bag or beside it as {file.name}")
+            metadata = file.read_text(encoding="utf-8")
+        ouster_decoder = OusterDecoder(OusterMetadata.parse(metadata))
     except ValueError as error:
         note_damage(damage, f"topic {topic} has Ouster packets that cannot be read: {one_line(error)}")
         return None
-    contents.metadata[topic] = own
-    return found
+    contents.metadata[topic] = metadata
+    return ouster_decoder
 
 
 def _packet_of(raw: bytes, encoding: str) -> bytes:
-    """Return the packet in the bytes of a PacketMsg, which is one array."""
+    """Return the packet in a serialized PacketMsg, a message with a single byte array."""
     start = 4 if encoding == "ros1" else 8
     order: Literal["little", "big"] = "little" if encoding == "ros1" or raw[1:2] in (b"\x01", b"\x03") else "big"
     return raw[start : start + int.from_bytes(raw[start - 4 : start], order)]
 
 
-def _note_topics(types: dict[str, str], contents: _Contents, damage: list[str], wanted: str | None) -> None:
-    """Keep the messages of the topic that is wanted, else the preferred ones, and say which topics are not read."""
-    if wanted is not None:
+def _note_topics(types: dict[str, str], contents: _Contents, damage: list[str], requested: str | None) -> None:
+    """Keep the clouds of the requested topic, or those of the preferred types; report the topics that are not read."""
+    if requested is not None:
         topics = Counter(cloud.topic for cloud in contents.clouds)
-        contents.clouds = [cloud for cloud in contents.clouds if cloud.topic.strip("/") == wanted.strip("/")]
+        contents.clouds = [cloud for cloud in contents.clouds if cloud.topic.strip("/") == requested.strip("/")]
         if not contents.clouds:
             known = ", ".join(f"{topic} ({count} sweeps)" for topic, count in sorted(topics.items())) or "none"
-            note_damage(damage, f"topic must be one with sweeps, {known}, got {wanted!r}")
+            note_damage(damage, f"topic must be one with sweeps, {known}, got {requested!r}")
         return
-    held = {cloud.kind for cloud in contents.clouds}
-    preferred = next((kinds for kinds in RETURNS if held & set(kinds)), ())
+    recorded = {cloud.kind for cloud in contents.clouds}
+    preferred = next((kinds for kinds in RETURNS if recorded & set(kinds)), ())
     contents.clouds = [cloud for cloud in contents.clouds if cloud.kind in preferred]
     with_clouds = {cloud.topic for cloud in contents.clouds}
     for topic, kind in sorted(types.items()):
-        if kind in UNREAD:
-            line = f"topic {topic} has {UNREAD[kind]} ({kind}), which are not read; record PointCloud2"
+        if kind in UNSUPPORTED:
+            line = f"topic {topic} has {UNSUPPORTED[kind]} ({kind}), which are not read; record PointCloud2"
             note_damage(contents.notes if with_clouds else damage, line)
         elif kind == CLOUD and topic not in with_clouds:
             note_damage(contents.notes if with_clouds else damage, f"topic {topic} has no cloud")
-        elif preferred and kind in _SWEEP_OF and topic not in with_clouds:
+        elif preferred and kind in _CONVERTERS and topic not in with_clouds:
             line = f"topic {topic} ({kind}) is not read beside {', '.join(sorted(with_clouds))}"
             note_damage(contents.notes, line)
     if not with_clouds and CLOUD not in types.values():
-        there = ", ".join(f"{topic} ({kind})" for topic, kind in sorted(types.items())) or "none"
-        needed = "sensor_msgs/msg/PointCloud2 or LaserScan, packets of Velodyne, Ouster or Hesai"
-        note_damage(damage, f"no topic has {needed}; topics that exist: {there}")
+        existing = ", ".join(f"{topic} ({kind})" for topic, kind in sorted(types.items())) or "none"
+        expected = "sensor_msgs/msg/PointCloud2 or LaserScan, packets of Velodyne, Ouster or Hesai"
+        note_damage(damage, f"no topic has {expected}; topics that exist: {existing}")
 
 
 def _add_odometry(contents: _Contents, damage: list[str]) -> None:
-    """Add odometry as a transform, where tf does not already place its child frame."""
-    placed, stated = dict[str, str](), defaultdict[str, dict[int, F64]](dict)
+    """Add odometry as transforms, with covariances, unless tf already has its child frame."""
+    topic_of, covariances = dict[str, str](), defaultdict[str, dict[int, F64]](dict)
     for topic, messages in sorted(contents.odometry.items()):
         for odometry in messages:
             child = (odometry.child_frame_id or _ODOMETRY_CHILD).lstrip("/")
-            if contents.transforms.has_parent(child) and placed.get(child) != topic:
+            if contents.transforms.has_parent(child) and topic_of.get(child) != topic:
                 continue
-            placed[child] = topic
+            topic_of[child] = topic
             pose = odometry.pose.pose
             try:
                 _add(contents.transforms, odometry.header, child, pose.position, pose.orientation)
                 contents.worlds.append(odometry.header.frame_id.lstrip("/"))
                 t_ns = odometry.header.stamp.sec * 1_000_000_000 + odometry.header.stamp.nanosec
                 covariance = np.array(odometry.pose.covariance, np.float64).reshape(6, 6)
-                # Zeros state nothing in ROS, nor does what is no covariance.
+                # All zeros mean unknown in ROS; invalid matrices are ignored.
                 if covariance.any() and np.isfinite(covariance).all() and np.linalg.eigvalsh(covariance)[0] >= -1e-9:
-                    stated[child][t_ns] = (covariance + covariance.T) / 2.0
+                    covariances[child][t_ns] = (covariance + covariance.T) / 2.0
             except ValueError as error:
                 note_damage(damage, f"{topic}: {one_line(error)}; left out")
     contents.worlds = list(dict.fromkeys(contents.worlds))
-    for frame, of_times in stated.items():
-        times_ns = sorted(of_times)
-        contents.covariances[frame] = times_ns, [of_times[t_ns] for t_ns in times_ns]
+    for frame, by_time in covariances.items():
+        times_ns = sorted(by_time)
+        contents.covariances[frame] = times_ns, [by_time[t_ns] for t_ns in times_ns]
 
 
 def _covariance(contents: _Contents, cloud: _Cloud, world: str | None, pose: Rigid | None) -> F64 | None:
-    """Return the covariance (6, 6) of a sensor's pose that the odometry of its vehicle states, nearest in time."""
-    placed = next((frame for frame in contents.transforms.chain(cloud.frame) if frame in contents.covariances), None)
-    if placed is None or world is None or pose is None:
+    """Return the covariance (6, 6) of a sensor's pose, from the odometry of its vehicle that is nearest in time."""
+    child = next((frame for frame in contents.transforms.chain(cloud.frame) if frame in contents.covariances), None)
+    if child is None or world is None or pose is None:
         return None
-    vehicle = contents.transforms.lookup(world, placed, cloud.t_ns)
+    vehicle = contents.transforms.lookup(world, child, cloud.t_ns)
     if vehicle is None:
         return None
-    times_ns, stated = contents.covariances[placed]
-    # A turn of the vehicle moves what stands beside its origin.
+    times_ns, covariances = contents.covariances[child]
+    # Propagate to the sensor: with a lever arm (x, y, z), rotation errors of the vehicle become position errors.
     x, y, z = pose.translation - vehicle.translation
-    carried = np.eye(6)
-    carried[:3, 3:] = [[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]]
-    return np.asarray(carried @ stated[nearest(times_ns, cloud.t_ns)] @ carried.T, np.float64)
+    jacobian = np.eye(6)
+    jacobian[:3, 3:] = [[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]]
+    return np.asarray(jacobian @ covariances[nearest(times_ns, cloud.t_ns)] @ jacobian.T, np.float64)
 
 
-def _bag_of(root: Path, scene: str, path: Path, contents: _Contents, encoding: str, damage: list[str]) -> Bag:
+def _build_bag(root: Path, scene: str, path: Path, contents: _Contents, encoding: str, damage: list[str]) -> Bag:
     _add_odometry(contents, damage)
     clouds = sorted(contents.clouds, key=lambda cloud: (cloud.t_ns, cloud.topic))
     topics = dict.fromkeys(cloud.topic for cloud in clouds)
@@ -368,10 +367,10 @@ def _bag_of(root: Path, scene: str, path: Path, contents: _Contents, encoding: s
         for cloud in clouds
     )
     for topic in topics:
-        at = [poses[index] for index, cloud in enumerate(clouds) if cloud.topic == topic and worlds[cloud.frame]]
-        if at.count(None):
+        own_poses = [poses[index] for index, cloud in enumerate(clouds) if cloud.topic == topic and worlds[cloud.frame]]
+        if own_poses.count(None):
             problem = "lie outside the times of the transforms and have no pose"
-            note_damage(contents.notes, f"{at.count(None)} of {len(at)} clouds of {topic} {problem}")
+            note_damage(contents.notes, f"{own_poses.count(None)} of {len(own_poses)} clouds of {topic} {problem}")
     _note_tilting(contents, clouds)
     places = tuple(
         (pose, _covariance(contents, cloud, worlds[cloud.frame], pose), _height_m(contents, cloud))
@@ -391,21 +390,21 @@ def _world(contents: _Contents, frame: str) -> str | None:
 
 
 def _note_tilting(contents: _Contents, clouds: list[_Cloud]) -> None:
-    """Note each topic of scans whose laser tilts: the view of a scan is that of its own slanted plane."""
+    """Add a note for each topic of a tilting 2-D laser: each scan sees only its own slanted plane."""
     scans = [cloud for cloud in clouds if cloud.kind == SCAN]
     for topic, frame in dict.fromkeys((cloud.topic, cloud.frame) for cloud in scans):
         times_ns = [cloud.t_ns for cloud in scans if cloud.topic == topic]
         tilt_deg = math.degrees(contents.transforms.tilt_rad(frame, times_ns))
-        if tilt_deg > _MOST_TILT_DEG:
+        if tilt_deg > _MAX_TILT_DEG:
             line = f"the 2-D laser of {topic} tilts by {tilt_deg:.0f}°, so each scan sees its own slanted plane"
             note_damage(contents.notes, f"{line}; put the scans of a turn together in a cloud first")
 
 
 def _height_m(contents: _Contents, cloud: _Cloud) -> float | None:
-    known = contents.transforms.frames()
-    own = f"{cloud.frame.rpartition('/')[0]}/{FOOTPRINT}"
-    footprint = own if own in known else FOOTPRINT
-    if footprint not in known:
+    frames = contents.transforms.frames()
+    prefixed = f"{cloud.frame.rpartition('/')[0]}/{FOOTPRINT}"
+    footprint = prefixed if prefixed in frames else FOOTPRINT
+    if footprint not in frames:
         return None
     try:
         pose = contents.transforms.lookup(footprint, cloud.frame, cloud.t_ns)
@@ -414,11 +413,11 @@ def _height_m(contents: _Contents, cloud: _Cloud) -> float | None:
     return None if pose is None or pose.translation[2] <= 0 else float(pose.translation[2])
 
 
-_SWEEP_OF: dict[str, Callable[[Any], Sweep]] = {
+_CONVERTERS: dict[str, Callable[[Any], Sweep]] = {
     CLOUD: sweep_of_cloud, VELODYNE: sweep_of_velodyne, SCAN: sweep_of_scan, **dict.fromkeys(LIVOX, sweep_of_livox),
     **dict.fromkeys(PANDAR, sweep_of_hesai),
 }  # fmt: skip
-"""From a message to its sweep, by type."""
+"""Message type → conversion to a sweep."""
 
 
 @lru_cache(maxsize=4)
@@ -427,9 +426,9 @@ def _cached_decoder(metadata: str) -> OusterDecoder:
 
 
 class BagRecording(RecordingSource):
-    """One bag or several, from :meth:`open`; each is a scene, each topic with sweeps an agent.
+    """One or more bags, opened by :meth:`open`; each bag is a scene, each topic with sweeps an agent.
 
-    One pass over a bag lists its clouds and takes its transforms; the clouds themselves are read when they are needed.
+    One pass over a bag indexes its clouds and transforms; clouds are decoded when they are read.
     """
 
     def __init__(self, place: Path, bags: Mapping[str, Bag], problems: Sequence[str]) -> None:
@@ -445,7 +444,7 @@ class BagRecording(RecordingSource):
 
     @classmethod
     def open(cls, place: Path, topic: str | None = None) -> BagRecording:
-        """Return the bags at a place; where none has a cloud (of the topic), an error of one line that says why."""
+        """Open the bags at a place; raise a one-line ValueError if none has a cloud (of the topic)."""
         decoder("cdr")
         root = place if place.is_dir() else place.parent
         damage: dict[str, None] = {}
@@ -462,7 +461,7 @@ class BagRecording(RecordingSource):
         return cls(place, bags, tuple(damage))
 
     def _read(self, ref: SweepRef) -> Sweep:
-        """Return a sweep in the frame of its header, with its pose where transforms lead to it."""
+        """Read a sweep in the frame of its header, with its pose if the transforms give it."""
         bag = self._bags[ref.scene]
         try:
             sweep = self._sweep(bag, ref)
@@ -480,10 +479,10 @@ class BagRecording(RecordingSource):
         messages = [decode(self._file(bag).message(where), kind) for where in ref.key.split(" ")]
         if kind in OUSTER:
             return sweep_of_ouster(messages, _cached_decoder(bag.metadata[ref.sensor]))
-        return _SWEEP_OF[kind](messages[0])
+        return _CONVERTERS[kind](messages[0])
 
     def _file(self, bag: Bag) -> BagFile:
-        """Return the opened bag; only one is kept open, and none that another process opened."""
+        """Return the open bag file; at most one is kept open, and reopened after a fork."""
         if self._process != os.getpid():
             self._open, self._process = {}, os.getpid()
         name = str(bag.path)

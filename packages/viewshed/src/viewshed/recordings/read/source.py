@@ -1,4 +1,4 @@
-"""SweepSource: the role of a recording that somebody else made, read where it lies; and what its readers share."""
+"""SweepSource: the protocol of recordings of other projects, and helpers shared by their readers."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from viewshed.geometry import Rigid
-from viewshed.io._input import errors_named, one_line
+from viewshed.io._input import errors_with_path, one_line
 from viewshed.sweep import Sweep
 
 _A = TypeVar("_A")
@@ -22,16 +22,16 @@ _R = TypeVar("_R")
 
 @dataclass(frozen=True, slots=True)
 class SweepRef:
-    """Where one sweep of a recording is: light, hashable, and fit to travel to other processes."""
+    """Reference to one sweep of a recording: small, hashable and picklable."""
 
-    scene: str  # name of the scene that it belongs to
-    index: int  # its place among the refs of the scene, from 0
-    file: str  # the file that holds it, as a path
-    t_ns: int | None = None  # time of the sweep in nanoseconds, or None where the recording has none
-    agent: str = "ego"  # who measured it
-    sensor: str = "lidar"  # the recording's own name of the sensor
-    keyframe: bool = True  # whether the recording marks it as one to annotate; True where it marks none
-    key: str = ""  # how the source finds it again: a token, a number, a topic
+    scene: str  # name of its scene
+    index: int  # index in the refs of the scene, from 0
+    file: str  # path of its file
+    t_ns: int | None = None  # time of the sweep in nanoseconds, or None if unknown
+    agent: str = "ego"  # agent that measured it
+    sensor: str = "lidar"  # name of the sensor in the recording
+    keyframe: bool = True  # whether it is a keyframe (annotated sweep); True if the recording has no keyframes
+    key: str = ""  # key of the sweep in the source: a token, a number, positions in a bag
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,13 +42,13 @@ class ObjectBox:
         ValueError: a size is not finite and positive.
     """
 
-    # pose of the box's frame: origin at its center, x along its heading, y left, z up. Where the sweep has no pose, its
-    # sensor's frame stands for the world.
+    # pose of the box: origin at its center, x along its heading, y left, z up; in the sensor's frame instead of the
+    # world if the sweep has no pose
     world_from_box: Rigid
-    size_m: tuple[float, float, float]  # its length (x), width (y) and height (z), meters
-    category: str  # what it is, in the recording's own words
-    track: str | None = None  # the same for one object over time, or None
-    returns: int | None = None  # of the sweep in the box, as the recording counts them; None where it does not
+    size_m: tuple[float, float, float]  # length (x), width (y) and height (z), meters
+    category: str  # category name in the recording
+    track: str | None = None  # track id, constant over time, or None
+    returns: int | None = None  # number of returns in the box, from the recording, or None
 
     def __post_init__(self) -> None:
         size = np.asarray(self.size_m, np.float64)
@@ -67,32 +67,32 @@ class ObjectBox:
 
 
 class SweepSource(Protocol):
-    """A recording on disk. It is never written to, and may be sent to other processes."""
+    """A recording on disk, read-only and picklable."""
 
     def scenes(self) -> tuple[str, ...]:
         """Return the names of the scenes, in the recording's order."""
         ...
 
     def refs(self, scene: str) -> Sequence[SweepRef]:
-        """Return the sweeps of a scene in time order; those of several agents or sensors follow each other by time.
+        """Return the sweeps of a scene in time order, with all agents and sensors merged.
 
         Raises:
-            ValueError: there is no such scene, or its files do not tell what sweeps there are.
+            ValueError: the scene is unknown, or its sweeps cannot be listed.
             OSError: a file of the scene cannot be read.
         """
         ...
 
     def read(self, ref: SweepRef) -> Sweep:
-        """Return a sweep with its time, agent, and, where the recording tells them, pose, beams, height and attitude.
+        """Read a sweep with time, agent and, if in the recording, pose, beam table, sensor height and attitude.
 
         Raises:
-            ValueError: the sweep is damaged, or what the recording says about it is; one line that names the file.
+            ValueError: the sweep or its metadata are damaged; one line that names the file.
             OSError: its file cannot be read.
         """
         ...
 
     def boxes(self, ref: SweepRef) -> tuple[ObjectBox, ...] | None:
-        """Return the annotated objects at the time of a sweep, in the world; None where nobody annotated it.
+        """Return the annotated objects at the time of a sweep, in the world; None if it is not annotated.
 
         Raises:
             ValueError: the annotations are damaged; one line that names the file.
@@ -101,28 +101,28 @@ class SweepSource(Protocol):
         ...
 
     def damage(self) -> tuple[str, ...]:
-        """Return one line for each thing that was found wrong on opening and that no ref stands for."""
+        """Return one line for each problem found on opening that does not belong to a ref."""
         ...
 
     def notes(self) -> tuple[str, ...]:
-        """Return one line for each thing that the recording lacks, or that is not read, without being damaged."""
+        """Return one line for each missing or unsupported part of the recording that is no damage."""
         ...
 
 
 class RecordingSource(ABC):
-    """An opened recording as a :class:`SweepSource`: whatever reading raises is one line that names a file."""
+    """Base of the readers, a :class:`SweepSource`: errors on reading are one line that names a file."""
 
-    place: Path  # where it lies
+    place: Path  # its location
     sweeps: Mapping[str, Sequence[SweepRef]]  # scene → its sweeps, in the order of :meth:`SweepSource.refs`
     problems: Sequence[str] = ()  # the lines of :meth:`SweepSource.damage`; reading may add to them
     remarks: Sequence[str] = ()  # the lines of :meth:`SweepSource.notes`
 
     @abstractmethod
     def _read(self, ref: SweepRef) -> Sweep:
-        """Return a sweep; errors may be of any type."""
+        """Read a sweep; may raise any exception."""
 
     def _boxes(self, ref: SweepRef) -> tuple[ObjectBox, ...] | None:
-        """Return the annotated objects at the time of a sweep; None where nobody annotated it."""
+        """Return the annotated objects at the time of a sweep; None if it is not annotated."""
         return None
 
     def scenes(self) -> tuple[str, ...]:
@@ -137,23 +137,23 @@ class RecordingSource(ABC):
         return self.sweeps[scene]
 
     def read(self, ref: SweepRef) -> Sweep:
-        """Return a sweep; errors as :meth:`SweepSource.read`."""
+        """Read a sweep; errors as :meth:`SweepSource.read`."""
         self._check(ref)
-        with errors_named(ref.file, self.place.parent):
+        with errors_with_path(ref.file, self.place.parent):
             return self._read(ref)
 
     def boxes(self, ref: SweepRef) -> tuple[ObjectBox, ...] | None:
         """Return the annotated objects at the time of a sweep; errors as :meth:`SweepSource.boxes`."""
         self._check(ref)
-        with errors_named(ref.file, self.place.parent):
+        with errors_with_path(ref.file, self.place.parent):
             return self._boxes(ref)
 
     def damage(self) -> tuple[str, ...]:
-        """Return one line for each thing that was found wrong so far and that no ref stands for."""
+        """Return one line for each problem found so far that does not belong to a ref."""
         return tuple(self.problems)
 
     def notes(self) -> tuple[str, ...]:
-        """Return one line for each thing that the recording lacks, or that is not read."""
+        """Return one line for each missing or unsupported part of the recording."""
         return tuple(self.remarks)
 
     def _check(self, ref: SweepRef) -> None:
@@ -164,15 +164,15 @@ class RecordingSource(ABC):
 
 @dataclass(frozen=True, slots=True)
 class SourceKind:
-    """One layout that can be opened."""
+    """One supported layout of recordings."""
 
-    layout: str  # what is looked for, in a few words, for messages
-    # yields the parts of a place (itself, or what lies in it) that have this layout, from names alone
+    layout: str  # short description of the layout, for messages
+    # yields the parts of a place (itself, or entries of it) with this layout, judged by file names alone
     find: Callable[[Path], Iterable[object]]
-    open: Callable[[Path], RecordingSource]  # opens a place; whatever it raises says why it cannot
+    open: Callable[[Path], RecordingSource]  # opens a place; may raise any exception
 
     def fits(self, place: Path) -> bool:
-        """Return whether a folder (or file) has this layout, from names alone."""
+        """Return whether a folder (or file) has this layout, judged by file names alone."""
         return any(True for _ in self.find(place))
 
 
@@ -184,8 +184,8 @@ def each_sweep(
     Args:
         source: the recording.
         scenes: which scenes; None is all of them.
-        on_damage: called with the scene ("" for none) and one line for whatever cannot be read, and the rest goes on;
-            None raises where a sweep cannot, and passes over :meth:`SweepSource.damage`.
+        on_damage: called with the scene (or "") and one line for each problem; unreadable sweeps are skipped. None
+            raises on the first unreadable sweep and ignores :meth:`SweepSource.damage`.
 
     Raises:
         ValueError: a sweep is damaged, and ``on_damage`` is None.
@@ -195,13 +195,13 @@ def each_sweep(
         for problem in source.damage():
             on_damage("", problem)
     for scene in source.scenes() if scenes is None else scenes:
-        for ref in _tried(source.refs, scene, scene, on_damage) or ():
-            sweep = _tried(source.read, ref, scene, on_damage)
+        for ref in _read_or_report(source.refs, scene, scene, on_damage) or ():
+            sweep = _read_or_report(source.read, ref, scene, on_damage)
             if sweep is not None:
                 yield ref, sweep
 
 
-def _tried(
+def _read_or_report(
     action: Callable[[_A], _R], argument: _A, scene: str, on_damage: Callable[[str, str], None] | None
 ) -> _R | None:
     try:
@@ -213,21 +213,21 @@ def _tried(
         return None
 
 
-_DAMAGE_LINES_MAX = 1000
-_NUMBER_MAX = 1e12
+_MAX_DAMAGE_LINES = 1000
+_MAX_NUMBER = 1e12
 
 
 def note_damage(damage: list[str], problem: str) -> None:
-    """Add one line to a recording's damage; after the first thousand, only that there is more."""
-    if len(damage) < _DAMAGE_LINES_MAX:
+    """Append one line to the damage of a recording; after a thousand lines, a final one says that there is more."""
+    if len(damage) < _MAX_DAMAGE_LINES:
         damage.append(one_line(problem))
-    elif len(damage) == _DAMAGE_LINES_MAX:
-        damage.append(f"there is more damage; only the first {_DAMAGE_LINES_MAX} lines are named")
+    elif len(damage) == _MAX_DAMAGE_LINES:
+        damage.append(f"there is more damage; only the first {_MAX_DAMAGE_LINES} lines are named")
 
 
 @contextmanager
-def problems_of(what: str) -> Iterator[None]:
-    """Begin what is wrong inside with the name of what it is about."""
+def error_prefix(what: str) -> Iterator[None]:
+    """Convert errors raised inside to a one-line ValueError that begins with ``what``."""
     try:
         yield
     except (ValueError, OSError) as error:
@@ -235,18 +235,18 @@ def problems_of(what: str) -> Iterator[None]:
 
 
 def numbered(files: Iterable[Path], damage: list[str], how: str = "a number") -> list[Path]:
-    """Return files in the order of the numbers that they are named by; others are named in ``damage``."""
-    found = []
+    """Return files sorted by the number in their names; report files without a number in ``damage``."""
+    valid = []
     for file in sorted(files):
         if file.stem.isascii() and file.stem.isdecimal() and len(file.stem) <= 18:
-            found.append(file)
+            valid.append(file)
         else:
             note_damage(damage, f"{file}: must be named by {how}; it is left out")
-    return sorted(found, key=lambda file: int(file.stem))
+    return sorted(valid, key=lambda file: int(file.stem))
 
 
 def read_optional(path: Path, read: Callable[[Path], Any], damage: list[str]) -> Any:
-    """Return what ``read`` says of a file; None where it is not there, or where it is damaged, with a line."""
+    """Return ``read(path)``; None if the file is missing, or damaged (which is reported in ``damage``)."""
     if not path.is_file():
         return None
     try:
@@ -257,10 +257,10 @@ def read_optional(path: Path, read: Callable[[Path], Any], damage: list[str]) ->
 
 
 def numbers_in(values: object, count: int, what: str) -> tuple[float, ...]:
-    """Return a list of ``count`` numbers (or texts of numbers) of a JSON, YAML or CSV file as floats.
+    """Convert a list of ``count`` numbers (or numeric texts) from a JSON, YAML or CSV file to floats.
 
     Raises:
-        ValueError: it is something else, or one is not finite or beyond 10¹²; the message begins with ``what``.
+        ValueError: it is not such a list, or a number is not finite or exceeds 10¹²; the message begins with ``what``.
 
     >>> numbers_in([1, "2.5"], 2, "size")
     (1.0, 2.5)
@@ -270,6 +270,6 @@ def numbers_in(values: object, count: int, what: str) -> tuple[float, ...]:
             numbers = tuple(float(value) for value in values if isinstance(value, int | float | str))
         except (ValueError, OverflowError):
             numbers = ()
-        if len(numbers) == count and all(abs(number) <= _NUMBER_MAX for number in numbers):
+        if len(numbers) == count and all(abs(number) <= _MAX_NUMBER for number in numbers):
             return numbers
     raise ValueError(f"{what} must be {count} finite numbers, got {one_line(values, 60)}")

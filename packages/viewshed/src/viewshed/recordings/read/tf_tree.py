@@ -1,4 +1,4 @@
-"""Transforms between named frames over time, as tf says them: chains of frames, and interpolation between two times."""
+"""Transform buffer like tf: transforms between named frames over time, chained and interpolated."""
 
 from __future__ import annotations
 
@@ -12,42 +12,42 @@ from numpy.typing import NDArray
 from viewshed.geometry import Rigid, quaternion_from_rotation
 
 WORLDS = ("map", "odom", "world", "earth")
-"""Frames that are taken as the world, the first that the sensor hangs from."""
+"""Frames that can be the world; the first ancestor of the sensor in this order is used."""
 
 _PARALLEL = 0.9995
 
 
-def slerp(one: NDArray[np.float64], other: NDArray[np.float64], share: float) -> NDArray[np.float64]:
-    """Return the unit quaternion (4,) at ``share`` in [0, 1] of the shorter way from one to another.
+def slerp(first: NDArray[np.float64], second: NDArray[np.float64], share: float) -> NDArray[np.float64]:
+    """Interpolate unit quaternions (4,) at ``share`` in [0, 1] along the shorter arc.
 
     Source: K. Shoemake, Animating rotation with quaternion curves, 1985.
 
     >>> slerp(np.array([1.0, 0, 0, 0]), np.array([0.0, 0, 0, 1]), 0.5).round(4).tolist()
     [0.7071, 0.0, 0.0, 0.7071]
     """
-    cosine = float(np.dot(one, other))
-    near = other if cosine >= 0 else -other
+    cosine = float(np.dot(first, second))
+    target = second if cosine >= 0 else -second
     if abs(cosine) > _PARALLEL:
-        mixed = (1 - share) * one + share * near
+        mixed = (1 - share) * first + share * target
     else:
         angle = np.arccos(abs(cosine))
-        mixed = (np.sin((1 - share) * angle) * one + np.sin(share * angle) * near) / np.sin(angle)
+        mixed = (np.sin((1 - share) * angle) * first + np.sin(share * angle) * target) / np.sin(angle)
     return np.asarray(mixed / np.linalg.norm(mixed), np.float64)
 
 
 def between(before: Rigid, after: Rigid, share: float) -> Rigid:
-    """Return the transform at ``share`` in [0, 1] of the way, at constant speed and rate of turn.
+    """Interpolate transforms at ``share`` in [0, 1], with constant linear and angular velocity.
 
     >>> between(Rigid.identity(), Rigid.from_yaw(1.0, (4.0, 0.0, 0.0)), 0.25).translation.tolist()
     [1.0, 0.0, 0.0]
     """
-    one, other = quaternion_from_rotation(before.rotation), quaternion_from_rotation(after.rotation)
-    where = (1 - share) * before.translation + share * after.translation
-    return Rigid.from_quaternion(slerp(one, other, share), where)
+    first, second = quaternion_from_rotation(before.rotation), quaternion_from_rotation(after.rotation)
+    translation = (1 - share) * before.translation + share * after.translation
+    return Rigid.from_quaternion(slerp(first, second, share), translation)
 
 
 def nearest(times_ns: Sequence[int] | NDArray[np.int64], t_ns: int) -> int:
-    """Return which of the ascending times is nearest to one, of two the earlier.
+    """Return the index of the ascending time nearest to ``t_ns``; ties give the earlier one.
 
     >>> nearest([10, 20, 30], 24), nearest([10, 20, 30], 25), nearest([10, 20, 30], 99)
     (1, 1, 2)
@@ -58,7 +58,7 @@ def nearest(times_ns: Sequence[int] | NDArray[np.int64], t_ns: int) -> int:
 
 @dataclass(slots=True, eq=False)
 class _Edge:
-    """One frame under its parent: times, ascending once sorted, with 7 numbers each (x, y, z, qw, qx, qy, qz)."""
+    """Transforms of one frame to its parent: time → (x, y, z, qw, qx, qy, qz); ``times`` is sorted on lookup."""
 
     parent: str
     static: bool
@@ -66,7 +66,7 @@ class _Edge:
     times: list[int] = field(default_factory=list)
 
     def at(self, t_ns: int) -> Rigid | None:
-        """Return ``parent_from_child``, or None before the first or after the last time."""
+        """Return ``parent_from_child`` at a time, or None before the first or after the last one."""
         if self.static:
             return _rigid(np.array(next(reversed(self.rows.values()))))
         if len(self.times) != len(self.rows):
@@ -79,8 +79,8 @@ class _Edge:
             return _rigid(after)
         start = self.times[late - 1]
         before, share = np.array(self.rows[start]), (t_ns - start) / (self.times[late] - start)
-        where = (1 - share) * before[:3] + share * after[:3]
-        return _rigid(np.concatenate([where, slerp(before[3:], after[3:], share)]))
+        translation = (1 - share) * before[:3] + share * after[:3]
+        return _rigid(np.concatenate([translation, slerp(before[3:], after[3:], share)]))
 
 
 def _rigid(row: NDArray[np.float64]) -> Rigid:
@@ -89,7 +89,7 @@ def _rigid(row: NDArray[np.float64]) -> Rigid:
 
 @dataclass(slots=True, eq=False)
 class TransformBuffer:
-    """All transforms of a recording; filled first, looked up afterwards.
+    """All transforms of a recording; add all, then look up.
 
     >>> buffer = TransformBuffer()
     >>> buffer.add("map", "lidar", 0, (1.0, 2.0, 0.0), (1.0, 0.0, 0.0, 0.0), static=True)
@@ -109,10 +109,10 @@ class TransformBuffer:
         *,
         static: bool = False,
     ) -> None:
-        """Take one transform ``parent_from_child``; a child keeps the parent that it had first.
+        """Add one transform ``parent_from_child``; a child keeps its first parent.
 
         Raises:
-            ValueError: it is not finite, its rotation has no length, or the child has another parent.
+            ValueError: it is not finite, its quaternion is zero, or the child has another parent.
         """
         row = np.array([*translation_m, *quaternion_wxyz], np.float64)
         length = float(np.linalg.norm(row[3:]))
@@ -126,7 +126,7 @@ class TransformBuffer:
         edge.rows[t_ns] = tuple(row.tolist())
 
     def has_parent(self, frame: str) -> bool:
-        """Return whether a frame hangs from another one."""
+        """Return whether a frame has a parent."""
         return frame.lstrip("/") in self._edges
 
     def frames(self) -> tuple[str, ...]:
@@ -134,36 +134,36 @@ class TransformBuffer:
         return tuple(sorted(self._edges.keys() | {edge.parent for edge in self._edges.values()}))
 
     def lookup(self, target: str, source: str, t_ns: int) -> Rigid | None:
-        """Return ``target_from_source`` at a time, or None where a transform on the way does not reach that time.
+        """Return ``target_from_source`` at a time, or None if a transform of the chain does not cover that time.
 
         Raises:
-            ValueError: the frames are not connected; the message names those that exist.
+            ValueError: the frames are not connected; the message lists all frames.
         """
         ups, downs = self.chain(source.lstrip("/")), self.chain(target.lstrip("/"))
         common = next((frame for frame in ups if frame in downs), None)
         if common is None:
-            known = ", ".join(self.frames()) or "none"
-            raise ValueError(f"no transform leads from frame {source!r} to {target!r}; frames that exist: {known}")
+            frames = ", ".join(self.frames()) or "none"
+            raise ValueError(f"no transform leads from frame {source!r} to {target!r}; frames that exist: {frames}")
         from_source = self._up(ups[: ups.index(common)], t_ns)
         from_target = self._up(downs[: downs.index(common)], t_ns)
         return None if from_source is None or from_target is None else from_target.inverse() @ from_source
 
     def world_of(self, frame: str, worlds: Iterable[str] = WORLDS) -> str:
-        """Return the first frame among ``worlds`` that ``frame`` hangs from.
+        """Return the first of ``worlds`` that is an ancestor of ``frame``.
 
         Raises:
-            ValueError: there is none; the message names the frames that exist.
+            ValueError: there is none; the message lists all frames.
         """
         chain = self.chain(frame.lstrip("/"))
         worlds = tuple(worlds)
         first = next((world for world in worlds if world in chain), None)
         if first is None:
-            known = ", ".join(self.frames()) or "none"
-            raise ValueError(f"frame {frame!r} hangs from none of {', '.join(worlds)}; frames that exist: {known}")
+            frames = ", ".join(self.frames()) or "none"
+            raise ValueError(f"frame {frame!r} hangs from none of {', '.join(worlds)}; frames that exist: {frames}")
         return first
 
     def tilt_rad(self, frame: str, times_ns: Iterable[int]) -> float:
-        """Return by how much a frame's z axis turns, at most, between the first of these times and the others.
+        """Return the maximum tilt of a frame's z axis between the first of these times and the others, in radians.
 
         >>> buffer = TransformBuffer()
         >>> for t_ns, y in enumerate((0.0, 0.7071)):
@@ -172,8 +172,8 @@ class TransformBuffer:
         2.4
         """
         chain = self.chain(frame.lstrip("/"))
-        found = (self._up(chain[:-1], t_ns) for t_ns in times_ns)
-        axes = np.array([pose.rotation[:, 2] for pose in found if pose is not None])
+        poses = (self._up(chain[:-1], t_ns) for t_ns in times_ns)
+        axes = np.array([pose.rotation[:, 2] for pose in poses if pose is not None])
         return float(np.arccos(np.clip(axes @ axes[0], -1.0, 1.0)).max()) if len(axes) else 0.0
 
     def _up(self, frames: list[str], t_ns: int) -> Rigid | None:
@@ -187,7 +187,7 @@ class TransformBuffer:
         return total
 
     def chain(self, frame: str) -> list[str]:
-        """Return a frame and those above it; a loop ends where it closes."""
+        """Return a frame and its ancestors; stop where a loop closes."""
         chain = [frame]
         while chain[-1] in self._edges:
             parent = self._edges[chain[-1]].parent

@@ -1,1 +1,1 @@
-"""Recorder: answers of a pipeline, with the sweeps they were made from, as bags and for viewers."""
+"""Record the answers of a pipeline and their sweeps, to bags and for viewers."""

@@ -1,4 +1,4 @@
-"""Files of bags: MCAP, ROS 1, and the folder with SQLite of ROS 2. Equal messages give equal bytes."""
+"""Write bags: MCAP files, ROS 1 files, and ROS 2 folders with SQLite. Equal messages give equal bytes."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from viewshed._files import draft_folder, require_parent
 
 @dataclass(frozen=True, slots=True)
 class Schema:
-    """Type of a topic's messages."""
+    """Message type of a topic."""
 
-    name: str  # of the type
-    encoding: str  # how ``definition`` is written: ``ros2msg`` or ``protobuf``
-    message_encoding: str  # how messages are written: ``cdr``, ``ros1`` or ``protobuf``
-    definition: bytes  # the type's definition
+    name: str  # name of the type
+    encoding: str  # format of ``definition``: ``ros2msg`` or ``protobuf``
+    message_encoding: str  # serialization of messages: ``cdr``, ``ros1`` or ``protobuf``
+    definition: bytes  # definition of the type
 
 
 _LATCHED_QOS = """\
@@ -44,7 +44,7 @@ _LATCHED_QOS = """\
     nsec: 4294967295
   avoid_ros_namespace_conventions: false
 """
-"""Reliable and transient local, the last one kept: for whoever comes later."""
+"""Reliable and transient local with depth 1, so that late subscribers receive the last message."""
 
 
 def _qos(latched: bool) -> str:
@@ -52,11 +52,11 @@ def _qos(latched: bool) -> str:
 
 
 class McapWriter:
-    """An MCAP file in chunks packed by lz4."""
+    """Writes an MCAP file with lz4 compression."""
 
     def __init__(self, path: Path, profile: str) -> None:
         with needed_for("writing MCAP"):
-            import lz4.frame  # noqa: F401 (the package would name itself in other words)
+            import lz4.frame  # noqa: F401 (checked here for our error message)
             from mcap.writer import CompressionType, Writer
         self._stream = path.open("wb")
         self._writer = Writer(self._stream, compression=CompressionType.LZ4)
@@ -72,20 +72,20 @@ class McapWriter:
                 self._schemas[schema.name] = self._writer.register_schema(
                     schema.name, schema.encoding, schema.definition
                 )
-            about = {"offered_qos_profiles": _qos(latched)} if schema.encoding == "ros2msg" else {}
+            metadata = {"offered_qos_profiles": _qos(latched)} if schema.encoding == "ros2msg" else {}
             number = self._schemas[schema.name]
-            self._channels[topic] = self._writer.register_channel(topic, schema.message_encoding, number, about)
+            self._channels[topic] = self._writer.register_channel(topic, schema.message_encoding, number, metadata)
         self._writer.add_message(self._channels[topic], t_ns, raw, t_ns, self._counts[topic])
         self._counts[topic] += 1
 
     def close(self) -> None:
-        """Write index and statistics."""
+        """Write index and statistics, and close the file."""
         self._writer.finish()
         self._stream.close()
 
 
 class Ros1Writer:
-    """A ROS 1 bag."""
+    """Writes a ROS 1 bag."""
 
     def __init__(self, path: Path) -> None:
         with needed_for("writing a bag"):
@@ -113,9 +113,10 @@ class Ros1Writer:
 
 
 class SqliteWriter:
-    """A ROS 2 bag: a folder with ``metadata.yaml`` and one SQLite file, in the version of Humble, which all later read.
+    """Writes a ROS 2 bag: a folder with ``metadata.yaml`` and one SQLite file, in the version of Humble.
 
-    The writer of rosbags keeps to the thread that opened it; answers are published in a thread of their own.
+    Later ROS versions read it as well. rosbags' own writer works only in the thread that opened it, but answers are
+    published in another thread.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -166,30 +167,30 @@ class SqliteWriter:
             "starting_time": {"nanoseconds_since_epoch": start}, "duration": {"nanoseconds": duration},
             "message_count": count,
         }  # fmt: skip
-        about = {
+        metadata = {
             "version": 5, "storage_identifier": "sqlite3", "relative_file_paths": [self._name], **times,
             "topics_with_message_count": topics, "compression_format": "", "compression_mode": "",
             "files": [{"path": self._name, **times}],
         }  # fmt: skip
-        # JSON is YAML: nothing needs to be installed to write it.
-        text = json.dumps({"rosbag2_bagfile_information": about}, indent=1) + "\n"
+        # JSON is valid YAML, so no YAML package is needed.
+        text = json.dumps({"rosbag2_bagfile_information": metadata}, indent=1) + "\n"
         (self._folder / "metadata.yaml").write_text(text, encoding="utf-8")
 
 
 @contextmanager
 def _writing(path: Path) -> Iterator[None]:
-    """Say of what cannot be written which bag it belongs to, and what mends it."""
+    """Add the path of the bag and a remedy to write errors."""
     try:
         yield
     except (OSError, sqlite3.Error) as error:
         number = error.errno if isinstance(error, OSError) else None
-        why = str(error) if number is None else os.strerror(number)
-        repair = f"{why}; free some space or choose another place"
-        raise OSError(errno.EIO if number is None else number, repair, str(path)) from error
+        reason = str(error) if number is None else os.strerror(number)
+        message = f"{reason}; free some space or choose another place"
+        raise OSError(errno.EIO if number is None else number, message, str(path)) from error
 
 
 class BagWriter:
-    """One bag being written; messages come in the order of time, and errors name it."""
+    """Writes one bag; messages must be in time order, and errors name the bag."""
 
     def __init__(self, bag: McapWriter | Ros1Writer | SqliteWriter, path: Path) -> None:
         self._bag, self._path = bag, path
@@ -200,25 +201,25 @@ class BagWriter:
             self._bag.write(topic, schema, t_ns, raw, latched=latched)
 
     def close(self) -> None:
-        """Write what belongs at the end."""
+        """Finish and close the bag."""
         with _writing(self._path):
             self._bag.close()
 
 
 @contextmanager
 def open_bag_writer(path: Path, profile: str = "ros2") -> Iterator[BagWriter]:
-    """Open a bag for writing; its name says of which kind: ``.mcap``, ``.bag`` (ROS 1), or a folder (ROS 2).
+    """Open a bag for writing; its suffix is the kind: ``.mcap``, ``.bag`` (ROS 1), or none for a folder (ROS 2).
 
-    It is written beside ``path`` and moved into place at the end, also when Ctrl-C ends it; another error leaves
-    nothing behind. A file is replaced, a folder is not.
+    It is written to a draft next to ``path`` and moved into place at the end, also after Ctrl-C; any other error
+    removes it. An existing file is replaced, a folder is not.
 
     Args:
-        path: of the bag.
-        profile: of an MCAP file: ``ros2``, or empty where the messages are no ROS messages.
+        path: path of the bag.
+        profile: profile of an MCAP file: ``ros2``, or empty if the messages are not ROS messages.
 
     Raises:
-        ValueError: the name ends in something else, or the folder exists.
-        ImportError: a package is not installed.
+        ValueError: the suffix is unknown, or the folder exists.
+        ImportError: a required package is not installed.
         OSError: it cannot be written.
     """
     kind = path.suffix.lower()
@@ -233,7 +234,7 @@ def open_bag_writer(path: Path, profile: str = "ros2") -> Iterator[BagWriter]:
         try:
             yield writer
         except Exception:
-            with suppress(OSError):  # it is thrown away
+            with suppress(OSError):  # the draft is discarded
                 writer.close()
             raise
         except KeyboardInterrupt:
@@ -245,11 +246,11 @@ def open_bag_writer(path: Path, profile: str = "ros2") -> Iterator[BagWriter]:
 
 
 def check_bag_name(path: Path) -> None:
-    """Check that a name says of which kind a bag is, and that the bag does not replace a folder and lies in one.
+    """Check that the suffix of a bag is known, that it does not replace a folder, and that its parent folder exists.
 
     Raises:
-        ValueError: it ends in something else, or the folder exists.
-        OSError: the folder that it is to lie in does not exist.
+        ValueError: the suffix is unknown, or the folder exists.
+        OSError: the parent folder does not exist.
     """
     if path.suffix.lower() not in {".mcap", ".bag", ""}:
         raise ValueError(f"a bag must be NAME.mcap, NAME.bag (ROS 1) or a folder NAME (ROS 2), got {path}")

@@ -1,4 +1,4 @@
-"""Moments in the schemas of Foxglove: for MCAP files that need no ROS to be read, and for a live server."""
+"""Convert moments to Foxglove's schemas, for MCAP files that are readable without ROS and for a live server."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ from viewshed.recordings.write.moment import MAP, Moment, Severity
 from viewshed.recordings.write.ros_topics import rigid_of_box
 
 LAYERS = ("visibility", "state", "doubt")
-"""Fields of the grid, int8 each, see :func:`visibility_layer`."""
+"""Fields of the grid, int8 each; see :func:`visibility_layer`."""
 
 _VISIBLE, _SUSPECT, _OBJECT = (0.1, 0.7, 0.5, 1.0), (0.9, 0.1, 0.1, 0.35), (0.2, 0.7, 1.0, 0.5)
 _LEVELS = {Severity.OK: "Info", Severity.WARNING: "Warning", Severity.ERROR: "Error"}
-_NUMBERS = {"<f4": "Float32", "<u2": "Uint16", "|i1": "Int8"}
+_NUMERIC_TYPES = {"<f4": "Float32", "<u2": "Uint16", "|i1": "Int8"}
 
 
 def foxglove_types() -> Any:
-    """Return the messages of foxglove-sdk.
+    """Return the message types of foxglove-sdk.
 
     Raises:
         ImportError: it is not installed.
@@ -43,56 +43,56 @@ def foxglove_types() -> Any:
 
 
 def _fields(table: np.dtype[Any]) -> list[Any]:
-    """Return the fields of a packed type."""
-    fox, places = foxglove_types(), dict[str, Any](table.fields or {})
+    """Return the Foxglove fields of a structured dtype."""
+    fox, columns = foxglove_types(), dict[str, Any](table.fields or {})
     return [
         fox.PackedElementField(
-            name=name, offset=offset, type=getattr(fox.PackedElementFieldNumericType, _NUMBERS[form.str])
+            name=name, offset=offset, type=getattr(fox.PackedElementFieldNumericType, _NUMERIC_TYPES[form.str])
         )
-        for name, (form, offset) in places.items()
+        for name, (form, offset) in columns.items()
     ]
 
 
 def foxglove_messages(moment: Moment) -> Iterator[tuple[str, Schema, bytes]]:
-    """Yield topic, schema and bytes of all that a moment tells."""
+    """Yield (topic, schema, bytes) of the messages of a moment."""
     fox = foxglove_types()
     agent, stamp = moment.agent, _stamp(moment.t_ns)
-    made: list[tuple[str, Any]] = [("/tf", _transforms(moment)), (f"/{agent}/lidar/data", _cloud(moment))]
+    messages: list[tuple[str, Any]] = [("/tf", _transforms(moment)), (f"/{agent}/lidar/data", _cloud(moment))]
     if moment.answer.estimate is not None:
-        made.append((f"/{agent}/lidar/fov", _grid(moment.answer.estimate, stamp, moment.level_frame)))
-    made.append((f"/{agent}/lidar/scene", fox.SceneUpdate(entities=_entities(moment))))
+        messages.append((f"/{agent}/lidar/fov", _grid(moment.answer.estimate, stamp, moment.level_frame)))
+    messages.append((f"/{agent}/lidar/scene", fox.SceneUpdate(entities=_entities(moment))))
     for sentence in moment.alarms() or [moment.summary()]:
         level = getattr(fox.LogLevel, _LEVELS[moment.verdict()])
-        made.append(("/log", fox.Log(timestamp=stamp, level=level, message=sentence, name=agent)))
+        messages.append(("/log", fox.Log(timestamp=stamp, level=level, message=sentence, name=agent)))
     if moment.answer.objects is not None:
-        made.append(
+        messages.append(
             (f"/{agent}/lidar/objects", fox.SceneUpdate(entities=_object_entities(moment, moment.answer.objects)))
         )
     if moment.round is not None:
-        done, at = moment.round, _stamp(moment.round.t_ns)
-        joint = _tracks_entity(tracks_of_center(done.picture), at, MAP)
-        made.append(("/command_center/objects", fox.SceneUpdate(entities=[joint])))
-        view = done.joint.estimate(done.t_ns)
-        made.append(("/command_center/fov", _grid(view, at, MAP, done.joint.world_from_grid)))
+        completed, round_stamp = moment.round, _stamp(moment.round.t_ns)
+        tracks = _tracks_entity(tracks_of_center(completed.picture), round_stamp, MAP)
+        messages.append(("/command_center/objects", fox.SceneUpdate(entities=[tracks])))
+        estimate = completed.joint.estimate(completed.t_ns)
+        messages.append(("/command_center/fov", _grid(estimate, round_stamp, MAP, completed.joint.world_from_grid)))
         level = fox.LogLevel.Warning
-        made += [
+        messages += [
             ("/log", fox.Log(timestamp=stamp, level=level, message=sentence, name="command_center"))
-            for sentence in done.sentences()
+            for sentence in completed.sentences()
         ]
-    for topic, message in made:
+    for topic, message in messages:
         schema = message.get_schema()
         yield topic, Schema(schema.name, schema.encoding, "protobuf", schema.data), message.encode()
     yield from _plain_messages(moment)
 
 
 def _plain_messages(moment: Moment) -> Iterator[tuple[str, Schema, bytes]]:
-    """Yield what has no schema of Foxglove's as JSON: explained tracks, their metrics, trust."""
-    agent, done = moment.agent, moment.round
+    """Yield the data without a Foxglove schema as JSON: explained tracks, metrics, trust, picture."""
+    agent, completed = moment.agent, moment.round
     values: dict[str, object] = {
         f"/{agent}/lidar/explained": None if moment.answer.objects is None else {"tracks": moment.explained()},
         f"/metrics/{agent}": dict(moment.metrics) or None,
         f"/trust/{agent}": None if moment.trust is None else {"trust": moment.trust},
-        "/command_center/picture": None if done is None else done.numbers(),
+        "/command_center/picture": None if completed is None else completed.numbers(),
     }
     for topic, value in values.items():
         if value is not None:
@@ -108,23 +108,23 @@ def _stamp(t_ns: int) -> Any:
 
 
 def _pose(rigid: Rigid) -> Any:
-    return foxglove_types().Pose(position=_vector(rigid.translation), orientation=_turn(rigid))
+    return foxglove_types().Pose(position=_vector(rigid.translation), orientation=_quaternion(rigid))
 
 
-def _turn(rigid: Rigid) -> Any:
+def _quaternion(rigid: Rigid) -> Any:
     w, x, y, z = quaternion_from_rotation(rigid.rotation).tolist()
     return foxglove_types().Quaternion(x=x, y=y, z=z, w=w)
 
 
 def _transforms(moment: Moment) -> Any:
-    """Return all transforms, those that stand still as well: a viewer may come later."""
+    """Return all transforms; static ones are repeated for viewers that connect later."""
     fox = foxglove_types()
     return fox.FrameTransforms(transforms=[
         fox.FrameTransform(
-            timestamp=_stamp(moment.t_ns), parent_frame_id=each.parent, child_frame_id=each.child,
-            translation=_vector(each.parent_from_child.translation), rotation=_turn(each.parent_from_child),
+            timestamp=_stamp(moment.t_ns), parent_frame_id=edge.parent, child_frame_id=edge.child,
+            translation=_vector(edge.parent_from_child.translation), rotation=_quaternion(edge.parent_from_child),
         )
-        for each in (*moment.static_transforms(), *moment.transforms())
+        for edge in (*moment.static_transforms(), *moment.transforms())
     ])  # fmt: skip
 
 
@@ -137,7 +137,7 @@ def _cloud(moment: Moment) -> Any:
 
 
 def _grid(estimate: FovEstimate, stamp: Any, frame: str, frame_from_grid: Rigid | None = None) -> Any:
-    """Return all layers as one grid; its columns go along x and its rows along y."""
+    """Return all layers as one Grid; its columns go along x and its rows along y."""
     fox = foxglove_types()
     grid = estimate.grid
     corner = Rigid(np.eye(3), np.array([*grid.origin_m, 0.0]))
@@ -152,9 +152,9 @@ def _grid(estimate: FovEstimate, stamp: Any, frame: str, frame_from_grid: Rigid 
 
 
 def _entities(moment: Moment) -> list[Any]:
-    """Return the outline of what is visible, the suspect sectors and the objects of a simulated world.
+    """Return the outline of the visible area, the suspect sectors and the ground truth objects.
 
-    Each entity takes the place of the one before of its name, so that one without content clears it.
+    An entity replaces the previous one with its id, so that an empty one clears it.
     """
     fox = foxglove_types()
     stamp, estimate, report = _stamp(moment.t_ns), moment.answer.estimate, moment.answer.report
@@ -172,32 +172,32 @@ def _entities(moment: Moment) -> list[Any]:
         triangles.append(
             fox.TriangleListPrimitive(pose=_pose(Rigid.identity()), points=corners, color=_color(_SUSPECT))
         )
-    made = [
+    entities = [
         fox.SceneEntity(timestamp=stamp, frame_id=moment.level_frame, id="visible", lines=lines),
         fox.SceneEntity(timestamp=stamp, frame_id=moment.level_frame, id="suspect", triangles=triangles),
     ]
     if moment.truth is not None:
-        cubes = [_cube(each.world_from_box, each.size_m, _OBJECT) for each in moment.truth.objects]
-        made.append(fox.SceneEntity(timestamp=stamp, frame_id=MAP, id="objects", cubes=cubes))
-    return made
+        cubes = [_cube(item.world_from_box, item.size_m, _OBJECT) for item in moment.truth.objects]
+        entities.append(fox.SceneEntity(timestamp=stamp, frame_id=MAP, id="objects", cubes=cubes))
+    return entities
 
 
 def _object_entities(moment: Moment, objects: SeenObjects) -> list[Any]:
-    """Return detections, and tracks in the colors of their explanations, each with its reason beside it."""
+    """Return detections, and tracks in the colors of their explanations with labels."""
     fox, stamp = foxglove_types(), _stamp(moment.t_ns)
-    found = [_box_cube(box, (0.6, 0.6, 0.6, 0.25)) for box in objects.detections.boxes]
+    detections = [_box_cube(box, (0.6, 0.6, 0.6, 0.25)) for box in objects.detections.boxes]
     return [
-        fox.SceneEntity(timestamp=stamp, frame_id=moment.level_frame, id="detections", cubes=found),
+        fox.SceneEntity(timestamp=stamp, frame_id=moment.level_frame, id="detections", cubes=detections),
         _tracks_entity(tracks_of_agent(objects), stamp, moment.tracks_frame),
     ]
 
 
 def _tracks_entity(tracks: ShownTracks, stamp: Any, frame: str) -> Any:
-    """Return tracks as one entity; those that something speaks against say what."""
+    """Return tracks as one entity: cubes in the color of their explanation, labeled with id and explanation."""
     fox = foxglove_types()
     cubes, texts = [], []
-    for number, at, box in zip(tracks.ids.tolist(), tracks.legend.tolist(), tracks.boxes, strict=True):
-        word, color = LEGEND[at]
+    for number, index, box in zip(tracks.ids.tolist(), tracks.legend.tolist(), tracks.boxes, strict=True):
+        word, color = LEGEND[index]
         cubes.append(_box_cube(box, (*color, 0.6)))
         above = Rigid(np.eye(3), box[:3] + np.array([0.0, 0.0, box[5] / 2 + 0.6]))
         texts.append(
@@ -233,11 +233,11 @@ def _vector(xyz: Iterable[float]) -> Any:
 
 @contextmanager
 def foxglove_server(port: int) -> Iterator[Callable[[Moment], None]]:
-    """Serve moments live to Foxglove on the own machine alone, and yield what takes them; port 0 is one that is free.
+    """Serve moments live to Foxglove on localhost; yield the function that takes them. Port 0 picks a free port.
 
     Raises:
         ImportError: foxglove-sdk is not installed.
-        OSError: the port cannot be had.
+        OSError: the port is not available.
     """
     foxglove_types()
     import foxglove
@@ -245,16 +245,16 @@ def foxglove_server(port: int) -> Iterator[Callable[[Moment], None]]:
     context = foxglove.Context()
     try:
         server = foxglove.start_server(name="viewshed", host=_HOST, port=port, context=context)
-    except Exception as error:  # of a type of its own
+    except Exception as error:  # foxglove has its own exception types
         raise OSError(f"port {port} of {_HOST} cannot be served: {error}; choose another --foxglove") from error
     channels: dict[str, Any] = {}
 
     def record(moment: Moment) -> None:
         for topic, schema, raw in foxglove_messages(moment):
             if topic not in channels:
-                known = foxglove.Schema(name=schema.name, encoding=schema.encoding, data=schema.definition)
+                declared = foxglove.Schema(name=schema.name, encoding=schema.encoding, data=schema.definition)
                 channels[topic] = foxglove.Channel(
-                    topic, schema=known, message_encoding=schema.message_encoding, context=context
+                    topic, schema=declared, message_encoding=schema.message_encoding, context=context
                 )
             channels[topic].log(raw, log_time=moment.t_ns)
 

@@ -1,4 +1,4 @@
-"""Recorder: takes the moments of a run and writes them to a bag, as ROS messages or with Foxglove's schemas."""
+"""Recorder: write the moments of a run to a bag, as ROS messages or with Foxglove's schemas."""
 
 from __future__ import annotations
 
@@ -11,23 +11,23 @@ from viewshed.recordings.write.moment import Moment
 from viewshed.recordings.write.ros_topics import RosTable
 
 Record = Callable[[Moment], None]
-"""Takes one moment."""
+"""Function that records one moment."""
 
 SCHEMAS = ("ros", "foxglove")
-"""In which messages a bag is written."""
+"""Message schemas of a bag."""
 
 
 @contextmanager
 def open_recorder(path: Path, schemas: str = "ros") -> Iterator[Record]:
-    """Open a bag and yield what writes a moment to it.
+    """Open a bag and yield a function that writes a moment to it.
 
     Args:
-        path: of the bag, see :func:`open_bag_writer`.
+        path: path of the bag, see :func:`open_bag_writer`.
         schemas: ``ros``, or ``foxglove`` for an MCAP file with the schemas of Foxglove.
 
     Raises:
-        ValueError: the name is that of no bag, or schemas and name do not go together.
-        ImportError: a package is not installed.
+        ValueError: the name is not that of a bag, or does not match the schemas.
+        ImportError: a required package is not installed.
         OSError: the bag cannot be written.
     """
     if schemas not in SCHEMAS:
@@ -38,7 +38,7 @@ def open_recorder(path: Path, schemas: str = "ros") -> Iterator[Record]:
             raise ValueError(f"Foxglove's schemas go into NAME.mcap, got {path}")
         from viewshed.recordings.write.foxglove_topics import foxglove_messages, foxglove_types
 
-        foxglove_types()  # what is not installed is reported before anything is read
+        foxglove_types()  # fail early if the package is not installed
 
         def messages(moment: Moment) -> Iterator[tuple[str, Schema, bytes, bool]]:
             return ((*message, False) for message in foxglove_messages(moment))

@@ -1,34 +1,31 @@
-"""The topics of a bag: for each its name, its type of ROS message, and how that is made from a moment.
+"""The topics of a bag: name and ROS message type of each, and how the message is made from a moment.
 
-Names are those of the bags that the code of arXiv 2503.07375 writes, with message types that every ROS installation
-has.
+Names are those of the bags of arXiv 2503.07375; every ROS installation has the message types.
 
-- ``/agent_names``, ``/attacked_agents``: String, a JSON list, of simulated drives and of attacked ones.
-- ``/object_truth``: MarkerArray, simulated drives: all objects, a cube each, ``id`` its number, ``ns`` its
+- ``/agent_names``, ``/attacked_agents``: String (JSON list), in simulated drives and attacked ones.
+- ``/object_truth``: MarkerArray, in simulated drives: a cube for each object, ``id`` is its number, ``ns`` its
   category.
-- ``/{agent}/state``: Odometry, simulated drives: pose of the vehicle in ``map``, velocity in its own frame.
-- ``/{agent}/lidar/data``: PointCloud2, or LaserScan of a laser in one plane: points as they were read, with
-  intensity, ring, azimuth and time where the sweep has them.
-- ``/{agent}/lidar/object_truth``: MarkerArray, simulated drives: objects that gave this sensor at least five
-  returns.
-- ``/{agent}/lidar/fov``: PolygonStamped, one ring within the visible cells, in straight lines from the sensor in
-  360 wedges.
-- ``/{agent}/lidar/visibility``, ``state``, ``doubt``: OccupancyGrid: percent and -1 where UNKNOWN; UNKNOWN -1, FREE
-  0, HIDDEN 50, SURFACE 100; percent (0 to 50) that the likelier answer is wrong.
-- ``/{agent}/lidar/detections``, ``tracks``, ``explained``: MarkerArray, MarkerArray, String (JSON), with objects:
-  cubes in ``{agent}/level``; cubes in the color of their explanation, which is ``ns``, with the reason as ``text``.
-- ``/{agent}/lidar/alarms``: DiagnosticArray, with a monitor: a status for each reason, only where there is an alarm
-  or a worse view.
+- ``/{agent}/state``: Odometry, in simulated drives: pose of the vehicle in ``map``, velocity in its own frame.
+- ``/{agent}/lidar/data``: PointCloud2, or LaserScan for a planar laser: points as read, with intensity, ring, azimuth
+  and time if the sweep has them.
+- ``/{agent}/lidar/object_truth``: MarkerArray, in simulated drives: objects with at least five returns of this sensor.
+- ``/{agent}/lidar/fov``: PolygonStamped, one ring within the visible cells, star-shaped about the sensor with 360
+  wedges.
+- ``/{agent}/lidar/visibility``, ``state``, ``doubt``: OccupancyGrid: probability in percent, UNKNOWN -1; UNKNOWN -1,
+  FREE 0, HIDDEN 50, SURFACE 100; probability in percent (0 to 50) that the likelier answer is wrong.
+- ``/{agent}/lidar/detections``, ``tracks``, ``explained``: MarkerArray, MarkerArray, String (JSON), with object
+  tracking: cubes in ``{agent}/level``; cubes in the color of their explanation (``ns``), with its reason as ``text``.
+- ``/{agent}/lidar/alarms``: DiagnosticArray, with a monitor: a status for each reason, only during an alarm or a
+  degraded view.
 - ``/metrics/{agent}``, ``/metrics/{agent}/gospa``: String, Float64: tracks of simulated drives against the truth.
-- ``/command_center/tracks``, ``visibility``, ``picture``, ``lies``, ``/trust/{agent}``: what several agents put
-  together gives: MarkerArray, OccupancyGrid, String, DiagnosticArray, Float64.
-- ``/diagnostics``: DiagnosticArray: of each sweep what became of it and its numbers.
-- ``/tf``, ``/tf_static``: TFMessage: ``map`` to ``{agent}/base_link`` or ``{agent}/lidar`` where poses are known,
-  ``{agent}/lidar`` to ``{agent}/base_footprint`` where the height is, and to ``{agent}/level``; how sensors are
-  mounted.
+- ``/command_center/tracks``, ``visibility``, ``picture``, ``lies``, ``/trust/{agent}``: fusion of several agents:
+  MarkerArray, OccupancyGrid, String, DiagnosticArray, Float64.
+- ``/diagnostics``: DiagnosticArray: summary and numbers of each sweep.
+- ``/tf``, ``/tf_static``: TFMessage: ``map`` to ``{agent}/base_link`` or ``{agent}/lidar`` if poses are known,
+  ``{agent}/lidar`` to ``{agent}/base_footprint`` if the sensor height is known, and to ``{agent}/level``; mountings.
 
-Grids and polygons lie in ``{agent}/level``. A sweep of packets is written as a cloud, which says less: of an Ouster
-not the beams that its metadata name. A name that ROS does not take gets ``_`` for what it does not.
+Grids and polygons are in ``{agent}/level``. A sweep decoded from packets is written as a cloud, which loses data such
+as the beam table of an Ouster. Characters that ROS does not allow in names are replaced by ``_``.
 """
 
 from __future__ import annotations
@@ -61,19 +58,19 @@ ODOMETRY, TF, STRING = "nav_msgs/msg/Odometry", "tf2_msgs/msg/TFMessage", "std_m
 NUMBER = "std_msgs/msg/Float64"
 MARKERS, DIAGNOSTICS = "visualization_msgs/msg/MarkerArray", "diagnostic_msgs/msg/DiagnosticArray"
 
-_CODES = {"f4": 7, "u2": 4}
+_DATATYPES = {"f4": 7, "u2": 4}
 
 
 @dataclass(frozen=True, slots=True)
 class Encoded:
-    """A message that is bytes already."""
+    """A message that is already serialized."""
 
-    __msgtype__: str  # its type, as rosbags' messages name it
-    raw: bytes  # its bytes
+    __msgtype__: str  # message type; the attribute name of rosbags
+    raw: bytes  # serialized bytes
 
 
 class RosMessages:
-    """Makes and encodes messages of ROS 1 (Noetic) or ROS 2 (Humble).
+    """Makes and serializes messages of ROS 1 (Noetic) or ROS 2 (Humble).
 
     Raises:
         ImportError: rosbags is not installed.
@@ -89,28 +86,28 @@ class RosMessages:
         self._fields: dict[str, dict[str, Any]] = {}
 
     def encode(self, message: Any) -> bytes:
-        """Return the bytes of a message."""
+        """Serialize a message."""
         if isinstance(message, Encoded):
             return message.raw
         serialize = self.store.serialize_ros1 if self._ros1 else self.store.serialize_cdr
         return bytes(serialize(message, message.__msgtype__))
 
     def definition(self, kind: str) -> str:
-        """Return the definition of a type and of those within it, as MCAP keeps it."""
+        """Return the definition of a type and its nested types, in the format of MCAP."""
         return str(self.store.generate_msgdef(kind, ros_version=2)[0])
 
     def make(self, kind: str, **given: Any) -> Any:
-        """Return a message; the fields that are not given are zero or empty."""
+        """Make a message; fields that are not given are zero or empty."""
         fields = self._fields.get(kind)
         if fields is None:
             fields = self._fields[kind] = dict(self.store.get_msgdef(kind).fields)
-        values = {name: given.pop(name) if name in given else self._empty(form) for name, form in fields.items()}
+        values = {name: given.pop(name) if name in given else self._default(form) for name, form in fields.items()}
         if given:
             raise TypeError(f"{kind} has no field {', '.join(given)}")
         return self.store.types[kind](**values)
 
-    def _empty(self, form: Any) -> Any:
-        """Return the zero of a field's form (node, arguments) of rosbags' tables."""
+    def _default(self, form: Any) -> Any:
+        """Return the default value of a field; ``form`` is its (node, arguments) in rosbags' tables."""
         node, rest = form
         match node.name:
             case "BASE":
@@ -119,29 +116,28 @@ class RosMessages:
                 return self.make(rest)
         (inner, name), count = rest
         is_number = inner.name == "BASE" and name[0] != "string"
-        return np.zeros(count, name[0]) if is_number else [self._empty((inner, name)) for _ in range(count)]
+        return np.zeros(count, name[0]) if is_number else [self._default((inner, name)) for _ in range(count)]
 
     def header(self, t_ns: int, frame: str) -> Any:
-        """Return a header."""
+        """Make a Header."""
         return self.make("std_msgs/msg/Header", stamp=self.stamp(t_ns), frame_id=frame)
 
     def stamp(self, t_ns: int) -> Any:
-        """Return a time."""
+        """Make a Time."""
         return self.make("builtin_interfaces/msg/Time", sec=t_ns // 1_000_000_000, nanosec=t_ns % 1_000_000_000)
 
     def pose(self, rigid: Rigid) -> Any:
-        """Return a pose."""
-        return self.make(
-            "geometry_msgs/msg/Pose", position=self._vector("Point", rigid.translation), orientation=self._turn(rigid)
-        )
+        """Make a Pose."""
+        position, orientation = self._vector("Point", rigid.translation), self._quaternion(rigid)
+        return self.make("geometry_msgs/msg/Pose", position=position, orientation=orientation)
 
     def cloud(self, sweep: Sweep, t_ns: int, frame: str) -> Any:
-        """Return the points of a sweep with those of its columns that it has."""
+        """Make a PointCloud2 with the points and columns of a sweep."""
         table = cloud_table(sweep)
-        places: dict[str, Any] = dict(table.dtype.fields or {})
+        columns: dict[str, Any] = dict(table.dtype.fields or {})
         fields = [
-            self.make(FIELD, name=name, offset=offset, datatype=_CODES[form.str[1:]], count=1)
-            for name, (form, offset) in places.items()
+            self.make(FIELD, name=name, offset=offset, datatype=_DATATYPES[form.str[1:]], count=1)
+            for name, (form, offset) in columns.items()
         ]
         data = table.view(np.uint8).reshape(-1) if table.size else np.zeros(0, np.uint8)
         return self.make(
@@ -150,7 +146,7 @@ class RosMessages:
         )  # fmt: skip
 
     def returns(self, sweep: Sweep, t_ns: int, frame: str) -> Any:
-        """Return the returns of a sweep: a LaserScan of one in a plane, else a cloud."""
+        """Make a LaserScan of a planar sweep, else a PointCloud2."""
         if sweep.planar is None:
             return self.cloud(sweep, t_ns, frame)
         return self.make(SCAN, header=self.header(t_ns, frame), **scan_of_sweep(sweep))
@@ -158,7 +154,7 @@ class RosMessages:
     def grid(
         self, layer: NDArray[np.int8], grid: BevGrid, t_ns: int, frame: str, frame_from_grid: Rigid | None = None
     ) -> Any:
-        """Return a layer (cells, cells), x first, as a grid, whose data go along x first."""
+        """Make an OccupancyGrid (``data`` x fastest) of a layer (cells, cells), x first."""
         header = self.header(t_ns, frame)
         corner = Rigid(np.eye(3), np.array([*grid.origin_m, 0.0]))
         if frame_from_grid is not None:
@@ -170,29 +166,29 @@ class RosMessages:
         return self.make(GRID, header=header, info=info, data=np.ascontiguousarray(layer.T).ravel())
 
     def polygon(self, corners: NDArray[np.float64], t_ns: int, frame: str) -> Encoded:
-        """Return corners (V, 2) as a polygon: a thousand points one by one would take longer than all else."""
+        """Make a serialized PolygonStamped of corners (V, 2); a thousand Point32 objects would be too slow."""
         empty = self.encode(self.make(POLYGON, header=self.header(t_ns, frame)))
-        # The points come last: their number, then x, y, z of each.
+        # The points are the last field: their number, then x, y, z of each.
         points = np.zeros((len(corners), 3), "<f4")
         points[:, :2] = corners
         return Encoded(POLYGON, empty[:-4] + len(points).to_bytes(4, "little") + points.tobytes())
 
     def transforms(self, transforms: list[Transform], t_ns: int) -> Any:
-        """Return transforms; None for none."""
+        """Make a TFMessage; None if there are no transforms."""
         return None if not transforms else self.make(TF, transforms=[
             self.make(
-                "geometry_msgs/msg/TransformStamped", header=self.header(t_ns, each.parent), child_frame_id=each.child,
+                "geometry_msgs/msg/TransformStamped", header=self.header(t_ns, edge.parent), child_frame_id=edge.child,
                 transform=self.make(
                     "geometry_msgs/msg/Transform",
-                    translation=self._vector("Vector3", each.parent_from_child.translation),
-                    rotation=self._turn(each.parent_from_child),
+                    translation=self._vector("Vector3", edge.parent_from_child.translation),
+                    rotation=self._quaternion(edge.parent_from_child),
                 ),
             )
-            for each in transforms
+            for edge in transforms
         ])  # fmt: skip
 
     def odometry(self, moment: Moment) -> Any:
-        """Return pose and velocity of an agent's vehicle, or of its sensor on a mast; None where they are not known."""
+        """Make an Odometry of an agent's vehicle, or of its sensor on a mast; None without ground truth."""
         if moment.truth is None:
             return None
         linear = self._vector("Vector3", moment.truth.velocity_mps)
@@ -205,33 +201,33 @@ class RosMessages:
         )  # fmt: skip
 
     def boxes(self, objects: tuple[ObjectTruth, ...], t_ns: int) -> Any:
-        """Return objects as cubes: their number is the marker's, their category its namespace and text."""
+        """Make a MarkerArray of objects as cubes: number as id, category as namespace and text."""
         color = self.make("std_msgs/msg/ColorRGBA", r=0.2, g=0.8, b=1.0, a=0.5)
         return self.make(MARKERS, markers=[
             self.make(
-                "visualization_msgs/msg/Marker", header=self.header(t_ns, MAP), ns=each.category, id=each.number,
-                type=1, pose=self.pose(each.world_from_box), scale=self._vector("Vector3", each.size_m), color=color,
-                text=each.category,
+                "visualization_msgs/msg/Marker", header=self.header(t_ns, MAP), ns=item.category, id=item.number,
+                type=1, pose=self.pose(item.world_from_box), scale=self._vector("Vector3", item.size_m), color=color,
+                text=item.category,
             )
-            for each in objects
+            for item in objects
         ])  # fmt: skip
 
-    def detections(self, found: Detections, t_ns: int, frame: str) -> Any:
-        """Return detections as cubes, by their numbers; the namespace is their kind, the text their returns."""
-        kinds = [ObjectKind(kind).name.lower() for kind in found.kinds]
-        texts = [f"{count} returns" for count in found.returns.tolist()]
-        rows = zip(range(len(found)), kinds, found.boxes, texts, strict=True)
+    def detections(self, detections: Detections, t_ns: int, frame: str) -> Any:
+        """Make a MarkerArray of detections as cubes: index as id, kind as namespace, number of returns as text."""
+        kinds = [ObjectKind(kind).name.lower() for kind in detections.kinds]
+        texts = [f"{count} returns" for count in detections.returns.tolist()]
+        rows = zip(range(len(detections)), kinds, detections.boxes, texts, strict=True)
         return self._cubes([(*row, (0.6, 0.6, 0.6)) for row in rows], t_ns, frame)
 
     def tracks(self, tracks: ShownTracks, t_ns: int, frame: str) -> Any:
-        """Return tracks as cubes in the color of their explanation, which is the namespace; the text is the reason."""
+        """Make a MarkerArray of tracks as cubes: explanation as color and namespace, reason as text."""
         rows = zip(tracks.ids.tolist(), tracks.legend.tolist(), tracks.boxes, tracks.reasons, strict=True)
         return self._cubes(
-            [(number, LEGEND[at].word, box, text, LEGEND[at].color) for number, at, box, text in rows], t_ns, frame
+            [(number, LEGEND[i].word, box, text, LEGEND[i].color) for number, i, box, text in rows], t_ns, frame
         )
 
     def _cubes(self, rows: list[tuple[int, str, Any, str, tuple[float, float, float]]], t_ns: int, frame: str) -> Any:
-        """Return cubes (number, namespace, box, text, color) in place of all that were there before."""
+        """Make a MarkerArray of cubes (number, namespace, box, text, color) that replaces all previous ones."""
         header, kind = self.header(t_ns, frame), "visualization_msgs/msg/Marker"
         delete_all = self.make(kind, header=header, action=3)
         return self.make(MARKERS, markers=[delete_all, *(
@@ -244,42 +240,42 @@ class RosMessages:
         )])  # fmt: skip
 
     def number(self, value: float) -> Any:
-        """Return a number."""
+        """Make a Float64."""
         return self.make(NUMBER, data=float(value))
 
     def lies(self, moment: Moment) -> Any:
-        """Return a status for each accusation and dispute of the round that a moment ended; None for none."""
-        done = moment.round
-        if done is None:
+        """Make a DiagnosticArray: a status for each accusation and dispute of the round; None if there is none."""
+        completed = moment.round
+        if completed is None:
             return None
-        values = {f"trust of {name}": f"{each['trust']:.3f}" for name, each in done.numbers()["agents"].items()}
-        return self._statuses(done.sentences(), done.t_ns, values, level=1, name="viewshed: command_center")
+        values = {f"trust of {name}": f"{row['trust']:.3f}" for name, row in completed.numbers()["agents"].items()}
+        return self._statuses(completed.sentences(), completed.t_ns, values, level=1, name="viewshed: command_center")
 
     def diagnostics(self, moment: Moment, sentences: list[str]) -> Any:
-        """Return a status for each sentence, the answer's numbers with each; None for no sentence."""
-        about = {
+        """Make a DiagnosticArray: a status for each sentence, with the numbers of the answer; None if there is none."""
+        fields = {
             "level": int(moment.verdict()),
             "name": f"viewshed: {moment.agent}",
             "hardware_id": moment.sensor_frame,
         }
-        return self._statuses(sentences, moment.t_ns, moment.numbers(), **about)
+        return self._statuses(sentences, moment.t_ns, moment.numbers(), **fields)
 
-    def _statuses(self, sentences: list[str], t_ns: int, numbers: dict[str, str], **about: Any) -> Any:
-        """Return a status for each sentence, with the same numbers; None for no sentence."""
+    def _statuses(self, sentences: list[str], t_ns: int, numbers: dict[str, str], **fields: Any) -> Any:
+        """Make a DiagnosticArray: a status for each sentence, all with the same numbers; None if there is none."""
         kind, pair = "diagnostic_msgs/msg/DiagnosticStatus", "diagnostic_msgs/msg/KeyValue"
         values = [self.make(pair, key=key, value=value) for key, value in numbers.items()]
-        status = [self.make(kind, message=sentence, values=values, **about) for sentence in sentences]
+        status = [self.make(kind, message=sentence, values=values, **fields) for sentence in sentences]
         return self.make(DIAGNOSTICS, header=self.header(t_ns, ""), status=status) if status else None
 
     def text(self, value: object) -> Any:
-        """Return a value as JSON in a String."""
+        """Make a String of a value as JSON."""
         return self.make(STRING, data=json.dumps(value, ensure_ascii=False))
 
     def _vector(self, name: str, xyz: Any) -> Any:
         x, y, z = (float(value) for value in xyz)
         return self.make(f"geometry_msgs/msg/{name}", x=x, y=y, z=z)
 
-    def _turn(self, rigid: Rigid) -> Any:
+    def _quaternion(self, rigid: Rigid) -> Any:
         w, x, y, z = quaternion_from_rotation(rigid.rotation).tolist()
         return self.make("geometry_msgs/msg/Quaternion", x=x, y=y, z=z, w=w)
 
@@ -288,11 +284,11 @@ class RosMessages:
 class Topic:
     """One topic of a bag."""
 
-    name: str  # with ``{agent}`` where each agent has its own
-    make: Callable[[RosMessages, Moment], Any]  # the message of a moment, or None where it has none
-    # written once, and anew as more agents are attacked; subscribers that join later receive it as well
+    name: str  # may contain ``{agent}``
+    make: Callable[[RosMessages, Moment], Any]  # makes the message of a moment, or None if there is none
+    # written once, and again when more agents are attacked; late subscribers receive it too
     latched: bool = False
-    per_time: bool = False  # written once for all agents of a time
+    per_time: bool = False  # written once at each time, for all agents together
 
 
 def _layer(name: str) -> Callable[[RosMessages, Moment], Any]:
@@ -323,17 +319,17 @@ def _tracks(ros: RosMessages, moment: Moment) -> Any:
 
 
 def _joint_tracks(ros: RosMessages, moment: Moment) -> Any:
-    done = moment.round
-    return None if done is None else ros.tracks(tracks_of_center(done.picture), done.t_ns, MAP)
+    completed = moment.round
+    return None if completed is None else ros.tracks(tracks_of_center(completed.picture), completed.t_ns, MAP)
 
 
 def _joint_view(ros: RosMessages, moment: Moment) -> Any:
-    """Return the joint field of view in the map, whose origin has the height of the ground."""
-    done = moment.round
-    if done is None:
+    """Make the grid of the joint field of view in the map, at the height of the ground."""
+    completed = moment.round
+    if completed is None:
         return None
-    estimate, pose = done.joint.estimate(done.t_ns), done.joint.world_from_grid
-    return ros.grid(visibility_layer(estimate, "visibility"), estimate.grid, done.t_ns, MAP, pose)
+    estimate, pose = completed.joint.estimate(completed.t_ns), completed.joint.world_from_grid
+    return ros.grid(visibility_layer(estimate, "visibility"), estimate.grid, completed.t_ns, MAP, pose)
 
 
 TOPICS = (
@@ -362,7 +358,7 @@ TOPICS = (
     Topic("/trust/{agent}", lambda ros, m: None if m.trust is None else ros.number(m.trust)),
     Topic("/diagnostics", lambda ros, m: ros.diagnostics(m, [m.summary()])),
 )
-"""What a bag holds, in the order in which it is written for each sweep."""
+"""The topics of a bag, in the order in which they are written for each sweep."""
 
 
 def rigid_of_box(box: NDArray[np.float64]) -> Rigid:
@@ -371,7 +367,7 @@ def rigid_of_box(box: NDArray[np.float64]) -> Rigid:
 
 
 def ros_name(name: str) -> str:
-    """Return a name that ROS takes.
+    """Replace the characters that ROS does not allow in a name.
 
     >>> ros_name("/car-1/top lidar/data")
     '/car_1/top_lidar/data'
@@ -380,7 +376,7 @@ def ros_name(name: str) -> str:
 
 
 class RosTable:
-    """The messages of moments, in the order of :data:`TOPICS`; each latched message once."""
+    """Serializes moments in the order of :data:`TOPICS`, each latched message once."""
 
     def __init__(self, *, ros1: bool) -> None:
         self._messages, self._encoding = RosMessages(ros1=ros1), "ros1" if ros1 else "cdr"
@@ -388,7 +384,7 @@ class RosTable:
         self._schemas: dict[str, Schema] = {}
 
     def of(self, moment: Moment) -> Iterator[tuple[str, Schema, bytes, bool]]:
-        """Yield topic, schema, bytes and whether it is latched, of all that a moment tells."""
+        """Yield (topic, schema, bytes, is latched) of the messages of a moment."""
         for topic in TOPICS:
             name = ros_name(topic.name.format(agent=moment.agent))
             if topic.latched or topic.per_time:
