@@ -13,11 +13,11 @@
 namespace viewshed {
 namespace {
 
-// Before each block stands its size class; the block itself begins at a multiple of this.
+// Alignment of blocks; each is preceded by its size class.
 constexpr std::size_t ALIGNMENT = 64;
 
-// Classes of sizes, four to each power of two from 64 bytes on. Larger blocks go back to the system, and so do those smaller
-// than a page; of the others at most MOST_KEPT bytes are kept.
+// Size classes, four per power of two from 64 bytes on. Larger blocks go back to the system, and so do blocks below a
+// page (MIN_KEPT_SIZE); at most MAX_KEPT_BYTES bytes of the others are kept.
 constexpr std::size_t CLASSES = 4 * 20;
 constexpr std::size_t LEAST_KEPT = std::size_t{1} << 12, MOST_KEPT = std::size_t{64} << 20;
 
@@ -26,7 +26,7 @@ constexpr std::size_t size_of_class(std::size_t number) {
     return (power + power / 4 * (number % 4) + ALIGNMENT - 1) / ALIGNMENT * ALIGNMENT;
 }
 
-// The first class that holds this number of bytes; CLASSES where none does.
+// Return the first class that holds this number of bytes; CLASSES if none does.
 std::size_t class_of_size(std::size_t bytes) {
     if (bytes <= ALIGNMENT) return 0;
     const auto log2 = std::size_t(std::bit_width(bytes - 1)) - 1;
@@ -44,9 +44,9 @@ struct Kept {
 
 [[maybe_unused]] Kept& kept() {
     static Kept* const all = [] {
-        // A process that forks holds the lock meanwhile: its child finds the lists whole, and the lock free.
+        // Hold the lock during a fork: the child finds the lists consistent and the lock free.
         pthread_atfork([] { kept().mutex.lock(); }, [] { kept().mutex.unlock(); }, [] { kept().mutex.unlock(); });
-        return new Kept;  // arrays may outlive every destructor
+        return new Kept;  // never deleted: arrays may outlive every destructor
     }();
     return *all;
 }
@@ -60,7 +60,7 @@ void* take_memory(std::size_t bytes) {
 #ifndef VIEWSHED_SANITIZE
     if (size >= LEAST_KEPT && number < CLASSES) {
         Kept& all = kept();
-        // Wait for the lock: a thread that asked the system instead would add a block to those that are kept each time.
+        // Wait for the lock: if threads asked the system instead, each would add a block to those that are kept.
         std::lock_guard lock(all.mutex);
         if (!all.blocks[number].empty()) {
             void* block = all.blocks[number].back();
@@ -90,7 +90,7 @@ void give_memory(void* taken) noexcept {
                 all.bytes += size_of_class(number);
                 return;
             }
-        } catch (...) {  // no room for the list: the block goes back
+        } catch (...) {  // no room in the list: free the block
         }
     }
 #endif
