@@ -12,14 +12,15 @@
 namespace viewshed {
 namespace {
 
-// Equal cells of slope in which the nearest beam is looked up.
+// Size of the table from slope to nearest beam.
 constexpr std::size_t CELLS = 4096;
 
-// Largest distance of a return from its beam's elevation, in radians and in meters; in the next line, of a close one.
+// Largest distance of a return from its beam, in radians and in meters; below, of a close return.
 constexpr double OFF_RAD = 0.0026, OFF_M = 0.05;
 constexpr double CLOSE_RAD = 0.00175, CLOSE_M = 0.015;
 
-// Returns of a part that is worth a thread, and of a chunk whose chances are summed: sums do not depend on the parts.
+// Fewest returns for which a part pays for its thread; returns of a chunk, by which chances are summed: the sums do not
+// depend on the number of parts.
 constexpr std::size_t PART = 16384, CHUNK = 4096;
 
 MULTIVERSION void look_at_block(const float* points, std::size_t count, float* azimuth, float* slope, float* range_m) {
@@ -35,10 +36,10 @@ MULTIVERSION void look_at_block(const float* points, std::size_t count, float* a
     for (std::size_t k = 0; k < count; ++k) azimuth[k] = azimuth_of(y[k], x[k]);
 }
 
-// Beams by the slope at which they are seen from far away.
+// Lookup of beams by their slope at infinite range.
 struct BySlope {
     std::vector<double> tangent;
-    std::array<std::int16_t, CELLS> first_beam;  // nearest to each of equal cells, from the lowest beam to the highest
+    std::array<std::int16_t, CELLS> first_beam;  // nearest beam of each slope cell
 
     explicit BySlope(const std::vector<double>& elevation) {
         for (const double angle : elevation) tangent.push_back(std::tan(angle));
@@ -51,7 +52,8 @@ struct BySlope {
     }
 };
 
-// Match the returns of one chunk; adds to `hits`, and returns how many were tried and how many would be close by chance.
+// Match the returns of one chunk; add to `hits`, and return the number of tested returns and the number expected to be
+// close by chance.
 std::pair<std::int64_t, double> match_chunk(View1<const float> slope, View1<const float> range_m, const BeamTable& table,
                                             const BySlope& by_slope, std::int16_t* ring, std::int64_t* hits) {
     const std::size_t rings = table.rings();
@@ -63,7 +65,7 @@ std::pair<std::int64_t, double> match_chunk(View1<const float> slope, View1<cons
         ring[n] = -1;
         const double r = range_m[n], t = slope[n];
         if (!(r > 0.0)) continue;
-        // 1. The nearest beam: the first guess, then from there while the next one is nearer.
+        // 1. Find the nearest beam: look up a first guess, then walk while the next one is nearer.
         const double per_m = 1.0 / r;
         const double cell = (t - table.mean_origin_m * per_m - lowest) * per_slope;
         auto best = std::size_t(by_slope.first_beam[cell > 0.0 ? std::size_t(std::min(cell, double(CELLS) - 1.0)) : 0]);
@@ -81,7 +83,7 @@ std::pair<std::int64_t, double> match_chunk(View1<const float> slope, View1<cons
             ++best;
             error = other;
         }
-        // 2. Whether it is near enough, and whether it is close.
+        // 2. Test if it is near enough, and if it is close.
         error /= 1.0 + t * t;
         if (error < OFF_RAD + OFF_M * per_m) ring[n] = std::int16_t(best);
         if (r > double(NEAR_M)) {

@@ -19,78 +19,78 @@ namespace {
 constexpr float TURN = 2 * PI;
 constexpr double UNKNOWN = std::numeric_limits<double>::quiet_NaN();
 
-// Azimuths jitter across the seam by at most BACK radians, for fewer than SOON points.
+// Azimuths jitter across the seam by at most BACK radians, within SOON points after it.
 constexpr float BACK = 0.35f;
 constexpr std::size_t SOON = 8;
 
-// A step of the azimuth against its sense, in radians; rings are stored one after the other if no more steps than this
-// share are such.
+// A step of the azimuth against its direction, in radians. Points are stored ring by ring if at most this share of the
+// steps goes backward.
 constexpr float BACKWARD = 0.003f;
 constexpr double MOST_BACKWARD = 0.03;
 
-// Fewer rings do not show in the order, and more are noise.
+// Limits of the number of rings; more than that are noise.
 constexpr std::size_t FEWEST_RINGS = 4, MOST_RINGS = 4096;
 
-// First and last rings of less than this share of the others' size are joined to their neighbor.
+// First and last rings smaller than this share of the average ring are merged into their neighbor.
 constexpr double STRAY_RING = 0.01;
 
-// The slope changes from one ring to the next between returns that lie so far before and after the seam: a ring may begin one
-// or two returns beside it.
+// Distance in returns from the seam at which the slope is compared: a ring may begin one or two returns off.
 constexpr std::size_t BESIDE = 2;
 
-// From a ring to the next one the slope nearly always rises, or nearly always falls: at their seams, and in the median.
+// Required share of steps in one direction (slope rises, or falls) between rings: at their seams, and by medians.
 constexpr double ONE_WAY_AT_SEAMS = 0.7, ONE_WAY = 0.9;
 
-// A smaller change of slope is none: rounding, where a ring was cut in two.
+// Smaller slope changes count as 0: rounding where a ring was cut in two.
 constexpr double LEAST_STEP = 1e-5;
 
-// About this number of returns of a ring, evenly spread, give its median slope.
+// Returns sampled evenly from a ring for its median slope.
 constexpr std::size_t RETURNS_OF_RING = 256;
 
-// Median slopes of rings go from the first to the last in at most this much of the way between these.
+// Largest ratio of the path of the median slopes over rings to the distance from first to last.
 constexpr double MOST_WAY = 1.5;
 
-// Rings that follow from the order of the points are taken at once where they change by less than this share of a step.
+// Accept rings at once if the slope changes within them by less than this share of a step.
 constexpr double LITTLE = 0.3;
 
-// Points of a part that is worth a thread.
+// Fewest points for which a part pays for its thread.
 constexpr std::size_t PART = 16384;
 
-// Columns of a revolution where neither the points nor a model tell, and elevation bins of a cloud without beams.
+// Default columns of a revolution, and number of elevation bins for a cloud without beams.
 constexpr std::size_t DEFAULT_COLUMNS = 1024, PSEUDO_RINGS = 64;
 
-// Columns are measured in the fullest rings, by gaps between 3 and 300 bins of 0.01°; fewer gaps do not tell them.
+// Columns are measured in the fullest rings, by gaps between 3 and 300 bins of 0.01°; FEWEST_GAPS are required.
 constexpr std::size_t SAMPLED_RINGS = 6, FEWEST_GAPS = 16;
 constexpr double GAP_BIN = 0.01 * std::numbers::pi / 180, LEAST_BINS = 3, MOST_BINS = 300;
 constexpr long FEWEST_COLUMNS = 4, MOST_COLUMNS = 36'000;
 
-// A model knows the step within 5 %; irregular firing has gaps 1.3 times as wide, which hold 90 % of the angle.
+// A step within 5 % of the model's is accepted. Irregular firing has gaps over 1.3 steps; COVERED is the share of the
+// angle.
 constexpr double STEP_KNOWN = 0.05, IRREGULAR = 1.3, COVERED = 0.9;
 
-// Points of one ring, one after the other: up to the next run.
+// A run of consecutive points of one ring, up to the next run.
 struct Run {
     std::size_t start;
     std::int32_t ring;
 };
 
-// The rings counted from the wraps of the azimuth.
+// Rings counted by wraps of the azimuth.
 struct Order {
     std::vector<Run> runs;
     std::size_t rings = 0;
-    double one_way = 0.0;  // share of the wraps at which the slope rises, or falls if these are more
+    double one_way = 0.0;  // share of wraps with rising slope, or falling if more
 };
 
-// Of the step to a point: it passes the seam, or goes back over it.
+// Flags of the step to a point: it crosses the seam forward, or back.
 constexpr std::uint8_t WRAPS = 1, GOES_BACK = 2;
 
-// The angle of a point around the turn, past `start` in a sense.
+// Return the azimuth of a point past `start` in a direction of rotation, in [0, 2π).
 INLINE float angle_past(float x, float y, float start, float sense) {
     const float a = sense * (azimuth_of(y, x) - start);
     return a < 0.0f ? a + TURN : a;
 }
 
-// Mark the steps of a block of points (count, 3) that begin a ring, or go back to the one before, and count those against
-// the sense. The angle before the block is given.
+// Mark the steps of points (count, 3) that cross the seam, and return the number of backward steps. `before` is the
+// angle before the block.
 MULTIVERSION std::size_t mark_steps(const float* points, std::size_t count, float start, float sense, float before,
                                     std::uint8_t* marked) {
     float x[BLOCK], y[BLOCK], angle[BLOCK + 1];
@@ -109,13 +109,14 @@ MULTIVERSION std::size_t mark_steps(const float* points, std::size_t count, floa
     return std::size_t(backward);
 }
 
-// Count rings from the wraps of the azimuth past `start` in a sense; none if steps against it are many.
+// Count rings by wraps of the azimuth past `start` in a direction of rotation; none if too many steps go backward.
 //
-// A step back over `start` soon after a wrap takes the wrap back. Stray first and last rings are joined to their neighbor.
+// A step back over `start` soon after a wrap reverts the wrap. Stray first and last rings are merged into their
+// neighbor.
 Order order_rings(View2<const float> points, float start, float sense) {
     const std::size_t count = points.rows;
     Order order;
-    // 1. Mark the steps, block by block. Where those against the sense are many already, it is not looked further.
+    // 1. Mark the steps, block by block. Stop early if too many go backward.
     const std::size_t blocks = (count + BLOCK - 1) / BLOCK, parts = count_parts(count, PART);
     const auto too_many = [&](std::size_t backward) { return double(backward) > MOST_BACKWARD * double(count); };
     Buffer<std::uint8_t> marked((count + 7) / 8 * 8);
@@ -130,7 +131,7 @@ Order order_rings(View2<const float> points, float start, float sense) {
         }
     });
     if (too_many(std::accumulate(backward.begin(), backward.end(), std::size_t{0}))) return {};
-    // 2. Follow them; most blocks of eight points hold no wrap.
+    // 2. Follow the marks; most blocks of eight points have none.
     std::size_t last_start = 0;
     std::int32_t wraps = 0, rising = 0, falling = 0;
     double last = 0.0;
@@ -165,7 +166,8 @@ Order order_rings(View2<const float> points, float start, float sense) {
         }
     }
     if (wraps > 0) order.one_way = double(std::max(rising, falling)) / wraps;
-    // 3. Join stray first and last rings. Points of a wrap that was taken back at the very end are of the last ring.
+    // 3. Merge stray first and last rings. Points after a wrap that was reverted at the very end belong to the last
+    // ring.
     std::vector<std::size_t> sizes(std::size_t(wraps) + 1, 0);
     for (std::size_t k = 0; k < runs.size(); ++k) {
         runs[k].ring = std::min(runs[k].ring, wraps);
@@ -181,16 +183,16 @@ Order order_rings(View2<const float> points, float start, float sense) {
         for (Run& run : runs) run.ring = std::max(run.ring - 1, 0);
     }
     order.rings = std::size_t(wraps) + 1;
-    // 4. Runs of the same ring are one.
+    // 4. Merge runs of the same ring.
     runs.erase(std::unique(runs.begin(), runs.end(), [](const Run& a, const Run& b) { return a.ring == b.ring; }),
                runs.end());
     return order;
 }
 
-// The bits of a number as a whole number that is ordered as the numbers are, and back.
+// Map the bits of a float to an integer of the same order, and back.
 INLINE std::int32_t number_key(std::int32_t bits) { return bits ^ ((bits >> 31) & 0x7fffffff); }
 
-// Write the keys of numbers, the greatest for those that are none, and return how many are numbers.
+// Write the keys of floats, the greatest for NaN, and return how many are numbers.
 MULTIVERSION std::size_t order_keys(const float* values, std::size_t count, std::int32_t* key) {
     std::int32_t known = 0;
     for (std::size_t k = 0; k < count; ++k) {
@@ -217,7 +219,7 @@ MULTIVERSION std::size_t count_up_to(const std::int32_t* key, std::size_t count,
     return std::size_t(below);
 }
 
-// The median slopes (rings,) of ordered rings, by some of the returns of each.
+// Return the median slopes (rings,) of ordered rings, by a sample of each.
 std::vector<double> medians_in_order(const Order& order, View2<const float> points) {
     const std::size_t step = std::max<std::size_t>(points.rows / order.rings / RETURNS_OF_RING, 1);
     std::vector<std::vector<float>> of_ring(order.rings);
@@ -231,7 +233,7 @@ std::vector<double> medians_in_order(const Order& order, View2<const float> poin
     return medians;
 }
 
-// How much the slope changes, in the median run, from a quarter of its returns to three quarters.
+// Return the median over runs of the slope change between the first and third quarter of a run.
 double change_within(const Order& order, View2<const float> points) {
     std::vector<double> changes;
     for (std::size_t k = 0; k < order.runs.size(); ++k) {
@@ -242,7 +244,7 @@ double change_within(const Order& order, View2<const float> points) {
     return median_of(std::move(changes));
 }
 
-// The rings of each run, ascending.
+// Write the ring of each point, ascending with the slope.
 Rings fill_rings(const Order& order, std::size_t count, bool rising) {
     Rings rings{Buffer<std::int16_t>(count), order.rings};
     for (std::size_t k = 0; k < order.runs.size(); ++k) {
@@ -253,7 +255,7 @@ Rings fill_rings(const Order& order, std::size_t count, bool rising) {
     return rings;
 }
 
-// Returns by ring: the values of each, one ring after the other.
+// Rows of the returns, sorted by ring.
 class ByRing {
 public:
     ByRing(View1<const std::int16_t> ring, std::size_t rings) : starts_(rings + 1, 0) {
@@ -277,7 +279,7 @@ private:
     std::vector<std::uint32_t> rows_;
 };
 
-// Bins of elevation: the table's nearest beams, else bins with equally many returns each.
+// Assign elevation bins: the table's nearest beams, else bins with equally many returns.
 Rings elevation_bins(const Directions& seen, const BeamTable* table) {
     std::vector<double> edges;
     if (table != nullptr) {
@@ -303,17 +305,17 @@ Rings elevation_bins(const Directions& seen, const BeamTable* table) {
     return rings;
 }
 
-// The azimuth step behind the gaps within rings (`own`) and in several rings taken together (`pooled`); NaN for too few.
+// Return the azimuth step from the gaps within rings (`own`) and in several rings together (`pooled`); NaN for too few.
 //
-// The mean of the gaps within a quarter of the most frequent one. Where firing is irregular (CARLA's overlaid revolutions
-// leave gaps in all rings at once) it is the gap that 90 % of the angle does not exceed, so that columns are not empty
-// between firings, unless the model knows the step within 5 %.
+// The step is the mean of the gaps within a quarter of the most frequent one. For irregular firing (CARLA's overlaid
+// revolutions leave gaps in all rings at once) it is the gap that covers 90 % of the angle, so that no columns stay
+// empty between firings, unless the model's step is within 5 %.
 double firing_step(std::vector<double> own, std::vector<double> pooled, const BeamTable* table) {
     for (std::vector<double>* gaps : {&own, &pooled}) {
         std::erase_if(*gaps, [](double gap) { return !(gap > LEAST_BINS * GAP_BIN && gap < MOST_BINS * GAP_BIN); });
     }
     if (own.size() < FEWEST_GAPS) return UNKNOWN;
-    // 1. The most frequent gap, and the mean of those like it.
+    // 1. Find the most frequent gap, and the mean of similar gaps.
     std::array<int, std::size_t(MOST_BINS) + 3> counts{};
     for (const double gap : own) ++counts[std::size_t(gap / GAP_BIN) + 1];
     std::size_t peak = 1;
@@ -344,11 +346,11 @@ double firing_step(std::vector<double> own, std::vector<double> pooled, const Be
     return step;
 }
 
-// The columns of a revolution: measured in the fullest rings, else the table's, else a usual number.
+// Return the columns of a revolution: measured in the fullest rings, else the table's, else the default.
 std::size_t measure_columns(const Directions& seen, const Rings& rings, RingSource source, const BeamTable* table) {
     const std::size_t fallback = table != nullptr ? std::size_t(table->columns) : DEFAULT_COLUMNS;
     if (source == RingSource::ELEVATION_BINS) return fallback;
-    // 1. The azimuths of the fullest rings.
+    // 1. Collect the azimuths of the fullest rings.
     std::vector<std::size_t> sizes(rings.count, 0), fullest(rings.count);
     const auto is_used = [&](std::size_t n) { return rings.ring[n] >= 0 && seen.range_m[n] > NEAR_M; };
     for (std::size_t n = 0; n < seen.size(); ++n) {
@@ -363,7 +365,7 @@ std::size_t measure_columns(const Directions& seen, const Rings& rings, RingSour
         const auto place = std::find(fullest.begin(), fullest.end(), std::size_t(rings.ring[n])) - fullest.begin();
         if (place < std::ptrdiff_t(fullest.size())) sampled[std::size_t(place)].push_back(seen.azimuth[n]);
     }
-    // 2. Gaps within each, and in all together.
+    // 2. Collect gaps within each ring, and in all together.
     std::vector<double> own, all, pooled;
     const auto add_gaps = [](std::vector<double>& azimuths, std::vector<double>& gaps) {
         std::sort(azimuths.begin(), azimuths.end());
@@ -379,7 +381,7 @@ std::size_t measure_columns(const Directions& seen, const Rings& rings, RingSour
     return std::size_t(std::clamp(std::lrint(2 * std::numbers::pi / step), FEWEST_COLUMNS, MOST_COLUMNS));
 }
 
-// The median elevations (rings,); the table's, or interpolated, where a ring has no return beyond 1 m.
+// Return the median elevations (rings,); the table's, or interpolated, for rings without a return beyond 1 m.
 Buffer<double> median_elevations(const Directions& seen, const Rings& rings, const BeamTable* table) {
     const ByRing by_ring(rings.ring, rings.count);
     Buffer<double> elevation(rings.count);
@@ -414,7 +416,7 @@ Buffer<double> median_elevations(const Directions& seen, const Rings& rings, con
     return elevation;
 }
 
-// The ring of each return, and what shows them.
+// Return the ring of each return, and the source of the rings.
 std::pair<Rings, RingSource> find_rings(View2<const float> points, const Directions& seen,
                                         std::optional<View1<const std::int16_t>> known, const BeamTable* table) {
     if (known) {
@@ -450,7 +452,7 @@ double lower_median(const float* values, std::size_t count) {
     std::vector<std::int32_t> key(count);
     const std::size_t known = order_keys(values, count, key.data());
     if (known == 0) return UNKNOWN;
-    // Numbers are ordered as their keys: halve the keys between which the median lies, by counting those below.
+    // Floats and keys have the same order: bisect the key range, counting keys up to the middle.
     const std::size_t rank = (known - 1) / 2;
     std::int64_t low = 0, high = 0;
     find_bounds(key.data(), count, low, high);
@@ -486,7 +488,7 @@ std::optional<Rings> rings_by_order(View2<const float> points) {
                 steps.push_back(std::abs(step));
             }
             const bool one_way = std::max(rising, falling) >= ONE_WAY * double(steps.size());
-            // Two sensors one after the other rise twice.
+            // Two sensors in one cloud rise twice.
             const bool once = way <= MOST_WAY * std::abs(medians.back() - medians.front());
             const double change = change_within(order, points) / median_of(std::move(steps));
             if (change < least && once && one_way) {
@@ -506,7 +508,7 @@ RingAssignment recover_rings(View2<const float> points, std::optional<View1<cons
     Rings& rings = found.first;
     const RingSource source = found.second;
     const std::size_t count = points.rows, columns = measure_columns(seen, rings, source, table);
-    // The column of each return, and which are alone in their pixel.
+    // Assign columns, and count the returns that are alone in their pixel.
     Buffer<std::int32_t> column(count);
     Buffer<std::uint8_t> counts(rings.count * columns, 0);
     const auto pixel = [&](std::size_t n) -> std::uint8_t& {
