@@ -11,13 +11,13 @@
 namespace viewshed {
 namespace {
 
-// From this range on the slope of the carrier's plane fades, over this distance: land is mostly level.
+// Beyond PLANE_M the carrier plane's slope fades over TILT_M: land is mostly level.
 constexpr float PLANE_M = 30.0f, TILT_M = 20.0f;
 
-// Of an odd number of nodes one lies at the sensor, at range 0.
+// Lower bound of the range: with an odd number of nodes one lies at range 0.
 constexpr float LEAST_M = 1e-6f;
 
-// How many lattices are kept.
+// Size of the lattice cache.
 constexpr std::size_t KEPT = 4;
 
 Lattice make_lattice(std::size_t n, double half_m) {
@@ -26,7 +26,7 @@ Lattice make_lattice(std::size_t n, double half_m) {
                  {}, {}, {}, {}, {}};
     for (std::size_t i = 0; i < n; ++i) made.middle_m[i] = float((double(i) + 0.5) * node_m - half_m);
 
-    // 1. Range of each node, and its place among sectors and bins.
+    // 1. Range, sector and bin of each node.
     for (auto* of_node : {&made.range_m, &made.fade, &made.azimuth, &made.range_nodes}) of_node->resize(n * n);
     for (auto* of_node : {&made.bin, &made.first, &made.last}) of_node->resize(n * n);
     for (std::size_t i = 0; i < n; ++i) {
@@ -47,7 +47,7 @@ Lattice make_lattice(std::size_t n, double half_m) {
         }
     }
 
-    // 2. The nearest first; of those as near the first of the lattice.
+    // 2. Sort by range, stable.
     std::vector<double> away(n * n);
     for (std::size_t at = 0; at < n * n; ++at) {
         away[at] = std::hypot(double(at / n) - (center - 0.5), double(at % n) - (center - 0.5));

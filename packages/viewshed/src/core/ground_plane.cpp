@@ -12,39 +12,39 @@
 namespace viewshed {
 namespace {
 
-// Steepest ground plane that is looked for in the level frame (12°).
+// Steepest ground plane in the level frame (12°).
 constexpr double MAX_SLOPE = 0.21;
 
-// A known height of the sensor is right to within this.
+// Tolerance of a known sensor height.
 constexpr double KNOWN_TO_M = 0.4;
 
-// At least FEWEST_NODES nodes up to this far from the sensor decide which plane carries it.
+// Range of the nodes that decide which plane carries the sensor, and their required number.
 constexpr float NEAR_M = 28.0f;
 constexpr std::size_t FEWEST_NODES = 6;
 
-// A node with this many nearer ones in its sector counts a quarter.
+// A node with this many nearer ones in its sector weighs a quarter.
 constexpr double CARRIER_NODES = 2.0;
 constexpr int CARRIER_SECTORS = 64;
 
-// Weight of a node below a plane against one on it: land may fall away from the road, while a roof hides it.
+// Penalty weight of a node below a plane: small, since land may fall away from the road, but a roof hides it.
 constexpr float BELOW_SHARE = 0.35f;
 
-// Share of all weight by which a plane of slope 1 counts less: of two with about as much on them the flatter one.
+// Penalty of a plane of slope 1, as a share of the total weight: of similar planes the flatter one wins.
 constexpr double LEVEL_SHARE = 0.4;
 
-// Planes are tried on about this number of points.
+// Approximate number of points on which planes are scored.
 constexpr std::size_t SCORED_POINTS = 400;
 
 constexpr int TRIALS = 256;
 
-// Planes that are tried at once, in the lanes of vectors.
+// Planes that are scored at once in vectors.
 constexpr std::size_t LANES = 16;
 
-// Fewest points and area below for a plane in any attitude.
+// Fewest points for a plane in any attitude, and its penalty weight of area below.
 constexpr std::size_t FEWEST_POINTS = 50;
 constexpr double BELOW_AREA = 2.0;
 
-// The next number of a linear congruential sequence (Numerical Recipes' constants).
+// Linear congruential generator (Numerical Recipes' constants).
 INLINE std::uint32_t next(std::uint32_t state) {
     return state * 1664525u + 1013904223u;
 }
@@ -61,7 +61,7 @@ struct Points3 {
     }
 };
 
-// The sector of a point, by the arctangent of the library, which is asked only where the faster one might be wrong.
+// Return the sector of a point. The library's arctangent is used only near a border, where the fast one might be wrong.
 int sector_of(float x, float y) {
     constexpr float PER_RAD = float(CARRIER_SECTORS / (2 * std::numbers::pi)), NEAR_BORDER = 1e-3f;
     float at = (azimuth_of(y, x) + PI) * PER_RAD;
@@ -70,7 +70,8 @@ int sector_of(float x, float y) {
     return int(at) % CARRIER_SECTORS;
 }
 
-// The low points within NEAR_M of the sensor. A point's weight falls with the number of nearer ones in its sector.
+// Return the low points within NEAR_M of the sensor. A point's weight falls with the number of nearer ones in its
+// sector.
 Points3 near_points(const Lows& lows) {
     Points3 near(lows.some.size());
     Buffer<float> square_m2(near.size);
@@ -89,7 +90,7 @@ Points3 near_points(const Lows& lows) {
         ++count;
     }
     near.size = count;
-    // Points by sector, and in each the nearest first; of those as near the first. A sector has few: they are inserted.
+    // Sort points by sector and range, stable, by insertion: a sector has few.
     std::partial_sum(begin.begin(), begin.end(), begin.begin());
     std::array<std::uint32_t, CARRIER_SECTORS> end;
     std::copy_n(begin.begin(), CARRIER_SECTORS, end.begin());
@@ -110,8 +111,7 @@ Points3 near_points(const Lows& lows) {
     return near;
 }
 
-// The numbers in [0, 1) that decide which three points each trial takes, in ascending order, with the place of each in the
-// sequence.
+// Random numbers in [0, 1) for the three points of each trial, ascending, with the position of each in the sequence.
 struct Draws {
     std::array<float, 3 * TRIALS> part;
     std::array<std::uint16_t, 3 * TRIALS> place;
@@ -134,7 +134,7 @@ const Draws& draws() {
     return sorted;
 }
 
-// The points of all trials, each drawn by its weight.
+// Sample the points of all trials by weight.
 std::array<std::uint32_t, 3 * TRIALS> draw_points(const Points3& points) {
     std::array<std::uint32_t, 3 * TRIALS> drawn;
     Buffer<float> sums(points.size);
@@ -150,7 +150,7 @@ std::array<std::uint32_t, 3 * TRIALS> draw_points(const Points3& points) {
     return drawn;
 }
 
-// Whether a plane goes through three points and may be ground; it is written to `plane`.
+// Fit a plane through three points; false if they are degenerate or the plane cannot be ground.
 bool plane_through(const Points3& points, const std::uint32_t* three, Plane& plane) {
     const std::uint32_t p = three[0], q = three[1], r = three[2];
     const float x1 = points.x[q] - points.x[p], y1 = points.y[q] - points.y[p];
@@ -164,7 +164,7 @@ bool plane_through(const Points3& points, const std::uint32_t* three, Plane& pla
     return plane[0] * plane[0] + plane[1] * plane[1] <= MAX_SLOPE * MAX_SLOPE && plane[2] < 0.0f;
 }
 
-// Of LANES planes the weight of the points on each, less a share of that of points clearly below it.
+// Write for LANES planes the weight of the points on each, minus a share of that of points clearly below.
 MULTIVERSION void score_planes(const float* x, const float* y, const float* z, const float* weight,
                                const float* tolerance, std::size_t count, const float* a, const float* b,
                                const float* c, float* scores) {
@@ -179,9 +179,9 @@ MULTIVERSION void score_planes(const float* x, const float* y, const float* z, c
     for (std::size_t l = 0; l < LANES; ++l) scores[l] = score[l];
 }
 
-// The best of the planes through three points each, and its score; 0 for none.
+// Find the best plane through three points, and return its score; 0 for none.
 double best_plane(const Points3& points, double height_m, Plane& best) {
-    // 1. Planes that may be ground, as columns.
+    // 1. Generate planes that may be ground.
     std::array<float, TRIALS> a{}, b{}, c{}, score{};
     std::size_t planes = 0;
     const auto drawn = draw_points(points);
@@ -197,7 +197,7 @@ double best_plane(const Points3& points, double height_m, Plane& best) {
         ++planes;
     }
 
-    // 2. How much lies on each, of some of the points.
+    // 2. Score the planes on a subset of the points.
     const std::size_t stride = std::max<std::size_t>(points.size / SCORED_POINTS, 1);
     Points3 some((points.size + stride - 1) / stride);
     Buffer<float> tolerance(some.size);
@@ -215,7 +215,7 @@ double best_plane(const Points3& points, double height_m, Plane& best) {
                      &b[l], &c[l], &score[l]);
     }
 
-    // 3. Of two planes with about as much on them the flatter one: roads climb rarely.
+    // 3. Prefer flatter planes among similar ones: roads are rarely steep.
     double most = 0.0;
     for (std::size_t l = 0; l < planes; ++l) {
         const double slope = double(std::sqrt(a[l] * a[l] + b[l] * b[l]));
@@ -245,7 +245,7 @@ void solve(double (&m)[3][4]) {
     }
 }
 
-// The plane of weighted least squares through the points on a plane.
+// Refit a plane by weighted least squares to the points on it.
 Plane refit(const Points3& points, const Plane& plane) {
     double xx = 0, xy = 0, x1 = 0, yy = 0, y1 = 0, w1 = 0, xz = 0, yz = 0, z1 = 0;
     for (std::size_t k = 0; k < points.size; ++k) {
@@ -269,7 +269,7 @@ Plane refit(const Points3& points, const Plane& plane) {
     return {float(m[0][3]), float(m[1][3]), float(m[2][3])};
 }
 
-// Add up the area of the points on LANES planes through `normal` (3, LANES), and that of those below.
+// Sum the area of the points on, and below, LANES planes with `normal` (3, LANES).
 MULTIVERSION void sum_areas(const float* points, const float* area, const double* tolerance, std::size_t count,
                             const float (*normal)[LANES], const float* offset, double* on, double* below) {
     double sum_on[LANES] = {}, sum_below[LANES] = {};
@@ -318,7 +318,7 @@ FreePlane free_plane(View2<const float> points) {
         tolerance[k] = 0.1 + 0.005 * double(std::sqrt(area[k]));
         all += area[k];
     }
-    // 1. Planes through three points each that may be ground.
+    // 1. Generate planes through three points that may be ground.
     float normal[3][TRIALS] = {}, offset[TRIALS] = {};
     std::size_t planes = 0;
     std::uint32_t state = 777;
@@ -340,7 +340,7 @@ FreePlane free_plane(View2<const float> points) {
         for (int axis = 0; axis < 3; ++axis) normal[axis][planes] = n[axis];
         offset[planes++] = below;
     }
-    // 2. The one with the most area on it, and little below.
+    // 2. Choose the plane with the most area on it, and little below.
     double most = 0.0, most_on = 0.0;
     for (std::size_t l = 0; l < planes; l += LANES) {
         float some[3][LANES];

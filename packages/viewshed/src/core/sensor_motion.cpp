@@ -12,56 +12,56 @@
 namespace viewshed {
 namespace {
 
-// Longest way that is tried, in one revolution: 35 m/s at ten revolutions a second.
+// Longest tested displacement in one revolution: 35 m/s at 10 Hz.
 constexpr double FARTHEST_M = 3.5;
 
-// Azimuths at which a revolution may begin and end, ...
+// Tested azimuths at which a revolution begins and ends, ...
 constexpr std::array<double, 4> SEAMS{-std::numbers::pi, std::numbers::pi / 2, 0.0, -std::numbers::pi / 2};
 
-// ... and parts of the turn from there, counter-clockwise, at which the sensor may have been at the origin.
+// ... and tested fractions of the turn, counter-clockwise, at which the sensor was at the origin.
 constexpr std::array<double, 3> REFERENCES{0.5, 0.0, 1.0};
 
-// Ways that are tried first: in steps of this, forth and back along this number of headings.
+// Coarse search grid: steps of this size, forward and backward along this number of headings.
 constexpr double STEP_M = 0.4;
 constexpr int HEADINGS = 8;
 
-// A sensor that is pitched moves up or down in its own frame: this share of the way is tried as well.
+// A pitched sensor moves up or down in its own frame: also test this share of the displacement as climb.
 constexpr double CLIMB = 0.1;
 
-// They are improved in ever smaller steps down to this one; upward in steps of a quarter.
+// Refinement halves the steps down to this size; vertical steps are a quarter.
 constexpr double FINEST_M = 0.004, RISE = 0.25;
 constexpr int IMPROVEMENTS = 4;
 
-// Returns by which a way is found, and by which it is improved; fewer do not tell a motion.
+// Sample sizes of the coarse search and of the refinement; fewest returns that determine a motion.
 constexpr std::size_t FEW = 384, SAMPLE = 2048, FEWEST_RETURNS = 256;
 
-// Nearer returns do not tell it: the azimuth at which they were measured differs from that of the point.
+// Nearer returns are ignored: the azimuth at which they were measured differs from that of the point.
 constexpr float NEAREST_M = 2.0f;
 
-// Widths of the bins of elevation, in their sine: for steps above 10 cm, above 5 cm, and below.
+// Bin widths of the elevation histogram, in the sine: for steps above 10 cm, above 5 cm, and below.
 constexpr double DEGREE = std::numbers::pi / 180;
 constexpr double COARSE_BIN = 0.2 * DEGREE, FINE_BIN = 0.1 * DEGREE, FINEST_BIN = 0.03 * DEGREE;
 constexpr double COARSE_STEP_M = 0.1, FINE_STEP_M = 0.05;
 
-// Elevations that gather in the finest bins as much as in the widest ones are sharp, smooth ones 0.15 times as much. A
-// motion with a larger share than the first is taken at once. With a smaller one than the second from any place of the
-// first seam the sensor has no rings, or the points are not in its frame.
+// Sharpness: concentration in the finest bins relative to the widest ones; 1 is sharp, about 0.15 is smooth. A motion
+// above SHARP is accepted at once. If all motions of the first seam are below SMOOTH, the sensor has no rings, or the
+// points are not in its frame.
 constexpr double SHARP = 0.8, SMOOTH = 0.26;
 
-// The azimuth at which a point was measured and the place of the sensor at that time, each from the other, this number of times.
+// Fixed-point iterations between the azimuth at which a point was measured and the sensor's position at that time.
 constexpr int TIMES = 3;
 
 constexpr std::size_t PART = 16384;
 
 using Way = std::array<double, 3>;
 
-// The part of a turn from the place where the sensor was at the origin to an azimuth.
+// Return the fraction of a turn from the sensor at the origin to an azimuth.
 INLINE float turn_at(float azimuth, float seam, float reference) {
     const float part = (azimuth - seam) * float(0.5 / std::numbers::pi);
     return part - std::floor(part) - reference;
 }
 
-// Write the part of the turn at which points were measured, by their azimuth, and then where they were seen.
+// Write the fraction of the turn at which points were measured, by their azimuth, and then their measured x and y.
 MULTIVERSION void step_back(const float* x, const float* y, std::size_t count, const float* way_m, float seam,
                             float reference, float* u, float* v, float* turn) {
     for (std::size_t k = 0; k < count; ++k) {
@@ -72,25 +72,26 @@ MULTIVERSION void step_back(const float* x, const float* y, std::size_t count, c
     }
 }
 
-// Some returns by columns, and the part of the turn at which each was measured.
+// Sampled returns, and the fraction of the turn at which each was measured.
 struct Returns {
     std::vector<float> x, y, z, turn;
 };
 
-// Write the bin of the sine of each elevation after a motion.
+// Write the histogram bin of the sine of each elevation with a motion undone.
 MULTIVERSION void place_elevations(const float* x, const float* y, const float* z, const float* turn, std::size_t count,
                                    const float* way_m, float half, float last, std::int32_t* position) {
     const float dx = way_m[0], dy = way_m[1], dz = way_m[2];
     for (std::size_t k = 0; k < count; ++k) {
         const float u = x[k] - turn[k] * dx, v = y[k] - turn[k] * dy, w = z[k] - turn[k] * dz;
         const float at = (w / std::sqrt(u * u + v * v + w * w) + 1.0f) * half;
-        // Whatever underflow makes of a sine, it lies in the histogram.
+        // Clamp to the histogram, even after underflow.
         const float inside = at > 0.0f ? at : 0.0f;
         position[k] = std::int32_t(inside < last ? inside : last);
     }
 }
 
-// How much the elevations of the first `count` returns gather after a motion: the sum of squares of their histogram.
+// Return the concentration of the elevations of the first `count` returns with a motion undone: the sum of squares of
+// their histogram.
 std::int64_t gather(const Returns& returns, std::size_t count, const Way& way_m, double bin_sine) {
     constexpr auto MOST_BINS = std::size_t(2.0 / FINEST_BIN) + 1;
     const auto bins = std::size_t(2.0 / bin_sine) + 1;
@@ -105,14 +106,14 @@ std::int64_t gather(const Returns& returns, std::size_t count, const Way& way_m,
     return squares;
 }
 
-// The way by which the elevations of returns gather most, and how much in the finest and in the widest bins.
+// The best displacement, and its concentration in the finest and in the widest bins.
 struct BestWay {
     Way way_m;
     std::int64_t gathered, widely;
 };
 
 BestWay search(const Returns& returns) {
-    // 1. Level ways, by a few of the returns.
+    // 1. Coarse search on a few of the returns.
     const std::size_t count = returns.x.size();
     const std::size_t few = std::min(FEW, count);
     Way way_m{};
@@ -131,7 +132,7 @@ BestWay search(const Returns& returns) {
             }
         }
     }
-    // 2. Along each axis, by all of them: steps and bins become smaller.
+    // 2. Coordinate search on all of them, with ever smaller steps and bins.
     for (double step = STEP_M / 2; step > FINEST_M; step /= 2) {
         const double bin_sine = step > COARSE_STEP_M ? COARSE_BIN : step > FINE_STEP_M ? FINE_BIN : FINEST_BIN;
         best = gather(returns, count, way_m, bin_sine);
@@ -152,7 +153,7 @@ BestWay search(const Returns& returns) {
     return {way_m, best, gather(returns, count, way_m, COARSE_BIN)};
 }
 
-// A sample of the returns beyond 2 m.
+// Return a random sample of the returns beyond 2 m.
 Returns sample_of(View2<const float> points) {
     Returns returns;
     for (const std::uint32_t row : random_rows(points.rows, 2 * SAMPLE)) {
@@ -178,7 +179,7 @@ std::optional<SensorMotion> find_motion(View2<const float> points) {
     std::int64_t most = 0;
     double sharpest = 0.0;
     for (const double seam : SEAMS) {
-        // The places of the origin at once; what a former one finds counts first.
+        // Search all references in parallel; among equal results the first counts.
         std::array<BestWay, REFERENCES.size()> found;
         for_ranges(found.size(), std::min(found.size(), threads()), [&](std::size_t, std::size_t begin, std::size_t end) {
             for (std::size_t k = begin; k < end; ++k) {
