@@ -13,30 +13,30 @@
 namespace viewshed {
 namespace {
 
-// The network's numbers: MEAN and SCALE of the features, weights and bias of two layers. `tools/fit_calibration.py fit` writes
-// them.
+// Parameters of the network: MEAN and SCALE of the features, weights and bias of two layers, written by
+// `tools/fit_calibration.py fit`.
 #include "calibration_network.inc"
 
 constexpr std::size_t UNITS = std::size(FIRST_BIAS);
 static_assert(std::size(MEAN) == SHOWN_FEATURES && std::size(SCALE) == SHOWN_FEATURES && std::size(SECOND_BIAS) == 1);
 static_assert(std::size(FIRST) == SHOWN_FEATURES * UNITS && std::size(SECOND) == UNITS);
 
-// The features of a sweep are cut off sooner than those of cells: few places were seen, and many cells in each.
+// Sweep features are clipped sooner than cell features: the fit saw few places, but many cells in each.
 constexpr float MOST_SWEEP_DEVIATIONS = 2.0f;
 
-// Ground that is even to within this is as even as any.
+// Added to the relief in meters: flatter ground makes no difference.
 constexpr double LEAST_RELIEF_M = 0.1;
 
-// Half the width in cells of the squares over which probabilities are averaged twice, one after the other.
+// Half widths in cells of the box filter, which is applied twice.
 constexpr std::size_t NEAR_CELLS = 2, WIDE_CELLS = 6;
 
-// Ranges below this share of that of the cell, and ranges that are farther, say no more.
+// Limits of the range features: smaller shares and farther ranges carry no more information.
 constexpr float LEAST_SHARE = 0.05f, FARTHEST_M = 200.0f, LEAST_RANGE_M = 0.5f;
 
-// A probability of 0 has the logit of this one.
+// Offset that keeps logits of 0 and 1 finite.
 constexpr float LEAST_PROB = 0.01f;
 
-// Cells of a part that is worth a thread.
+// Fewest cells for which a part pays for its thread.
 constexpr std::size_t PART = 8192;
 
 INLINE float logit_of(float prob) {
@@ -44,8 +44,8 @@ INLINE float logit_of(float prob) {
     return log2_of((p + LEAST_PROB) / (1.0f + LEAST_PROB - p));
 }
 
-// Write means (columns,) over 2 · half + 1 neighbors of a row; padded (columns + 2 · half,) is the row with its outermost values
-// repeated.
+// Write means (columns,) over 2 · half + 1 neighbors of a row; padded (columns + 2 · half,) repeats its outermost
+// values.
 MULTIVERSION void average_row(const float* __restrict padded, std::size_t columns, std::size_t half, float* __restrict means) {
     const float share = 1.0f / float(2 * half + 1);
     for (std::size_t c = 0; c < columns; ++c) means[c] = padded[c];
@@ -55,14 +55,14 @@ MULTIVERSION void average_row(const float* __restrict padded, std::size_t column
     for (std::size_t c = 0; c < columns; ++c) means[c] *= share;
 }
 
-// Write means of some columns from their sums, and let a row come into these and another go.
+// Write means of columns from their sums, then add the entering row to the sums and subtract the leaving one.
 MULTIVERSION void move_sums(const float* __restrict come, const float* __restrict go, std::size_t columns, float share,
                             double* __restrict sums, float* __restrict means) {
     for (std::size_t c = 0; c < columns; ++c) means[c] = float(sums[c]) * share;
     for (std::size_t c = 0; c < columns; ++c) sums[c] += double(come[c]) - double(go[c]);
 }
 
-// Average values (rows, columns) over squares, twice.
+// Return values (rows, columns) averaged over squares, twice.
 Buffer<float> averaged(View2<const float> values, std::size_t half) {
     Buffer<float> means(values.size()), between(values.size());
     const std::size_t rows = values.rows, columns = values.columns;
@@ -96,7 +96,7 @@ Buffer<float> averaged(View2<const float> values, std::size_t half) {
     return means;
 }
 
-// The ranges of NARROWEST_BINS: those of the bins that the returns fill, each as often as it is wider.
+// Ranges by NARROWEST_BINS, repeated from the wider bins that the returns fill.
 struct Limits {
     Buffer<float> blocker_m{NARROWEST_BINS}, farthest_m{NARROWEST_BINS};
 
@@ -109,7 +109,7 @@ struct Limits {
     }
 };
 
-// What the features of all cells are made from.
+// Inputs of the cell features.
 struct Scene {
     const CellWindows& windows;
     const CellEvidence& evidence;
@@ -128,7 +128,7 @@ struct Scene {
 
 constexpr std::size_t CELLS = CellCounts::BLOCK;
 
-// Write features (size,), each by a loop over arrays that do not overlap, so that it becomes vectors.
+// Write features (size,), each in its own loop over non-overlapping arrays, so that it vectorizes.
 MULTIVERSION void write_logits(const float* __restrict prob, std::size_t size, float* __restrict feature) {
     for (std::size_t n = 0; n < size; ++n) feature[n] = logit_of(prob[n]);
 }
@@ -141,7 +141,7 @@ MULTIVERSION void add(const float* __restrict a, const float* __restrict b, std:
     for (std::size_t n = 0; n < size; ++n) sum[n] = a[n] + b[n];
 }
 
-// The ranges of limits over those of cells.
+// Write log ratios of limit ranges to cell ranges.
 MULTIVERSION void write_shares(const float* __restrict limit_m, const float* __restrict cell_range_m, std::size_t size,
                                float* __restrict feature) {
     for (std::size_t n = 0; n < size; ++n) {
@@ -160,7 +160,7 @@ MULTIVERSION void write_away(const float* __restrict limit_m, const float* __res
     }
 }
 
-// Write the features of cells from `first` on, a row of CELLS for each.
+// Write the features of cells from `first` on, one row of CELLS each.
 void describe_block(const Scene& scene, std::size_t first, std::size_t size, float* feature) {
     const CellEvidence& of = scene.evidence;
     const float* const range_m = &scene.windows.cell_range_m[first];
@@ -187,8 +187,8 @@ void describe_block(const Scene& scene, std::size_t first, std::size_t size, flo
     write_logs(range_m, size, row(CELL_RANGE));
 }
 
-// Write the sums (CELL_FEATURES + 1,) of features (CELL_FEATURES, CELLS) over the cells at which beams aim, and their number last.
-// The lanes are summed one by one, so that the sums are the same on every processor; features beyond `size` are 0.
+// Write the sums (CELL_FEATURES + 1,) of features (CELL_FEATURES, CELLS) over cells at which beams aim, and their
+// number last. Lanes are summed one by one, so that sums are equal on every processor; features beyond `size` are 0.
 MULTIVERSION void sum_aimed(const float* __restrict feature, const float* __restrict aimed, std::size_t size, double* sums) {
     float counts[CELLS] = {};
     for (std::size_t n = 0; n < size; ++n) counts[n] = aimed[n] > 0.0f ? 1.0f : 0.0f;
@@ -205,7 +205,7 @@ MULTIVERSION void sum_aimed(const float* __restrict feature, const float* __rest
     }
 }
 
-// The standard deviation of the heights of the ground.
+// Return the standard deviation of the ground heights.
 double relief_of(View2<const float> heights_m) {
     double sum = 0.0, squares = 0.0;
     for (const float height_m : heights_m.flat()) sum += double(height_m), squares += double(height_m) * double(height_m);
@@ -213,7 +213,7 @@ double relief_of(View2<const float> heights_m) {
     return std::sqrt(std::max(squares / count - mean * mean, 0.0));
 }
 
-// The features of cells, block by block (CELL_FEATURES, CELLS), and those of the sweep.
+// Features of cells, block by block (CELL_FEATURES, CELLS), and of the sweep.
 struct Description {
     std::size_t blocks;
     Buffer<float> cells;
@@ -241,14 +241,14 @@ struct Description {
     float* of(std::size_t block) { return &cells[block * CELL_FEATURES * CELLS]; }
 };
 
-// A feature in standard deviations from its mean, cut off.
+// Standardize and clip a feature.
 INLINE float standardized(float feature, std::size_t k, float most) {
     const float value = (feature - MEAN[k]) * SCALE[k];
     const float high = value < most ? value : most;
     return high > -most ? high : -most;
 }
 
-// The first layer's bias of one sweep: what its own features add is the same for all of its cells.
+// Return the first layer's bias for a sweep: the sweep features contribute equally to all its cells.
 std::array<float, UNITS> bias_of(const float* sweep) {
     std::array<float, UNITS> bias;
     std::copy_n(FIRST_BIAS, UNITS, bias.begin());
@@ -259,8 +259,7 @@ std::array<float, UNITS> bias_of(const float* sweep) {
     return bias;
 }
 
-// Write the logits of cells by the network from their features (CELL_FEATURES, CELLS) and the bias of their sweep, AT_ONCE at a
-// time: the features of these stay in registers.
+// Write the logits of cells from their features (CELL_FEATURES, CELLS) and the sweep's bias, AT_ONCE at a time.
 MULTIVERSION void run_network(const float* __restrict feature, const float* __restrict bias, std::size_t size,
                               float* __restrict logit) {
     for (std::size_t n = 0; n < size; n += AT_ONCE) {

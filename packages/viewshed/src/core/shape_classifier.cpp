@@ -10,13 +10,13 @@
 namespace viewshed {
 namespace {
 
-// Standardized shapes are cut off here, so that one that was never seen does not outweigh all others.
+// Standardized shapes are clipped to this, so that an unseen one does not dominate.
 constexpr float MOST = 6.0f;
 
-// Candidates of a part that is worth a thread.
+// Fewest candidates for which a part pays for its thread.
 constexpr std::size_t PART = 128;
 
-// out = in · weights + bias, without negative values where the layer is a hidden one. Sums go in the order of the inputs.
+// Compute out = in · weights + bias, with ReLU for hidden layers. Sums follow the order of the inputs.
 MULTIVERSION void apply(const float* in, const Layer& layer, bool is_hidden, float* out) {
     const std::size_t units = layer.bias.size;
     for (std::size_t u = 0; u < units; ++u) out[u] = layer.bias.data[u];

@@ -220,12 +220,12 @@ struct SortedBeams {
 
 // 3. Sums over columns.
 
-// Whole vectors up to a range bin.
+// Return the number of vectors that cover the bins up to `bin`.
 INLINE std::size_t vectors_to(std::int32_t bin) { return std::size_t(bin + std::int32_t(VECTOR)) / VECTOR; }
 
-// Count the beams of a column in the range bins that they reach: their slope lies between foot and top, and they ended no
-// nearer. `own` (COUNT, stride) holds the counts to each depth, lower and higher those to the first one on other ground.
-// `spans` are those of the sector. Return how many bins were looked at.
+// Count the beams of a column in the range bins that they hit: their slope lies between foot and top, and they ended no
+// nearer. `own` (COUNT, stride) gets the counts for each depth; `lower` and `higher` get those of the first depth on
+// other ground. `spans` belongs to the sector. Return the number of bins visited.
 template <bool SHIFTED, std::size_t COUNT>
 INLINE std::size_t count_column(const Columns<COUNT>& columns, std::size_t column, const float* __restrict limits,
                                 std::size_t stride, const float* __restrict spans, std::int32_t* __restrict own,
@@ -241,7 +241,8 @@ INLINE std::size_t count_column(const Columns<COUNT>& columns, std::size_t colum
             last[d] = beam.last[d];
             farthest = last[d] > farthest ? last[d] : farthest;
         }
-        // Whole vectors: the bins beyond the last one are masked. Most beams pass above the first ones, or end before the last.
+        // Process whole vectors and mask the bins beyond the last. Most beams pass above the first bins, or end before
+        // the last.
         std::size_t begin = 0, end = vectors_to(farthest);
         while (begin < end && s > highest_top[begin]) ++begin;
         while (begin < end && s < lowest_foot[end - 1]) --end;

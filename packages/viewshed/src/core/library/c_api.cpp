@@ -1,4 +1,4 @@
-// The C interface: arguments are checked here, and nothing is thrown out of it.
+// C interface: arguments are checked here, and no exception leaves it.
 #include "viewshed.h"
 
 #include <algorithm>
@@ -27,7 +27,7 @@ constexpr std::size_t MOST_POINTS = 20'000'000, MOST_STEP = 1 << 20, MOST_CELLS 
 constexpr int MOST_RINGS = 4096;
 constexpr double MOST_HEIGHT_M = 100.0, MOST_EXTENT_M = 1e4, UNIT_TOLERANCE = 1e-3;
 
-// A stream: its estimator, and what the next sweep may expect.
+// A stream: its estimator, and the expected sensor of the next sweep.
 struct Stream {
     Stream(const BevGrid& grid, const Target& target, const SensorModel* model, bool infers_sensor)
         : estimator(grid, target), model(model), infers_sensor(infers_sensor) {}
@@ -40,7 +40,7 @@ struct Stream {
     std::optional<Buffer<bool>> visible;  // of the last estimate
 };
 
-// The open streams by their numbers, which never come again. They are not ended with the process: a thread may still use one.
+// Open streams by number; numbers are never reused. The map is never deleted: a thread may use it at process exit.
 std::mutex streams_mutex;
 auto& streams = *new std::unordered_map<viewshed_stream, std::shared_ptr<Stream>>;
 viewshed_stream last_stream = 0;
@@ -55,7 +55,7 @@ void set_error(const char* text) noexcept {
     error_text[sizeof error_text - 1] = '\0';
 }
 
-// Run a call, and turn what it throws into a status.
+// Run a call, and convert exceptions to a status.
 template <typename Call>
 viewshed_status guarded(const Call& call) noexcept {
     try {
@@ -98,7 +98,7 @@ std::shared_ptr<Stream> stream_of(viewshed_stream number) {
     return found->second;
 }
 
-// The rotation of a unit quaternion w, x, y, z.
+// Return the rotation of a unit quaternion w, x, y, z.
 Rotation rotation_of(const double* quaternion) {
     double q[4], squares = 0.0;
     std::copy_n(quaternion, 4, q);
@@ -111,7 +111,7 @@ Rotation rotation_of(const double* quaternion) {
             2 * (x * z - w * y),     2 * (y * z + w * x),     1 - 2 * (x * x + y * y)};
 }
 
-// The points and rings of a sweep without rows that are not finite: copies, whatever else writes the caller's arrays.
+// Copies of the finite points of a sweep and their rings: the caller's arrays may change meanwhile.
 struct Rows {
     std::size_t count = 0;
     Buffer<float> points;
@@ -260,7 +260,7 @@ viewshed_status viewshed_outline(viewshed_stream stream, double* corners_m, size
 
 viewshed_status viewshed_close(viewshed_stream stream) {
     return guarded([&] {
-        std::shared_ptr<Stream> last;  // ends after the lock, and after calls that still use it
+        std::shared_ptr<Stream> last;  // destroyed after the lock is released and pending calls have ended
         const std::lock_guard lock(streams_mutex);
         const auto found = streams.find(stream);
         if (found == streams.end()) throw NoStream();
