@@ -20,8 +20,7 @@ constexpr double LEAST_SLOPE = 1e-9;
 // Different sides of one surface may lie a cell or two apart: deny it only if all cells within this distance are free.
 constexpr double ABOUT_M = 1.0;
 
-// Sectors of a view; most sectors to each side covered by a near surface; distance before a surface where ground is
-// open.
+// Sectors of a view; most sectors to each side covered by a near surface; margin before a surface.
 constexpr int SECTORS = 180, WIDEST = 6;
 constexpr double BEFORE_M = 0.5;
 

@@ -60,8 +60,7 @@ void mark_surfaces(View2<std::uint32_t> seen_by, View2<const double> surfaces, c
                    std::uint32_t bit, bool wide, bool erase);
 
 // Count the surfaces (S, 2) of `level` that coincide with one seen by another agent, for each of T headings and X × Y
-// positions: (T, X, Y). `seen_by` is a world map with a bit per agent that repeats periodically; its size is a power of
-// two.
+// positions: (T, X, Y). `seen_by` is a world map, a bit per agent, periodic, with a power of two of cells.
 void count_met(View2<const double> surfaces, View1<const double> headings, View1<const double> x_m, View1<const double> y_m,
                double cell_m, View2<const std::uint32_t> seen_by, std::uint32_t own_bit, View3<std::int32_t> out);
 

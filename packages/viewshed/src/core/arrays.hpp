@@ -91,8 +91,7 @@ inline void require(bool holds, const char* rule) {
     if (!holds) throw std::invalid_argument(rule);
 }
 
-// Copy an array. Another thread may write the original meanwhile, so values that are read twice (checked, then used)
-// must be read from a copy.
+// Copy an array. Read values twice (check, then use) only from a copy: another thread may write the original.
 template <typename T>
 Buffer<T> copy_of(View1<const T> values) {
     Buffer<T> copy(values.size);

@@ -20,8 +20,7 @@ constexpr double FILLED_SHARE = 0.95;
 
 constexpr float NO_OBSTACLE = std::numeric_limits<float>::infinity(), NO_RETURN = -1.0f;
 
-// Consecutive returns mostly fall into the same bin. They take turns among this many tables, so that none waits for the
-// previous store.
+// Tables filled in turn: consecutive returns mostly fall into the same bin, and would wait for the previous store.
 constexpr std::size_t TABLES = 4;
 
 // Fewest returns or cells for which a part pays for its thread.

@@ -14,8 +14,7 @@ constexpr std::size_t MOST_BINS = 32767;
 // Number of the narrowest bins for returns; every number of bins on the ladder divides it.
 constexpr std::size_t NARROWEST_BINS = 1080;
 
-// Return the bin of an azimuth in [-π, π), half-open; in double, like viewshed.preprocess.azimuth_bins for cells. NaN
-// gives bin 0.
+// Return the bin of an azimuth in [-π, π), half-open(in double, like viewshed.preprocess.azimuth_bins); NaN gives 0.
 INLINE std::int32_t azimuth_bin(float azimuth, double per_rad, double last) {
     double position = (double(azimuth) + std::numbers::pi) * per_rad;
     position = position > 0.0 ? position : 0.0;

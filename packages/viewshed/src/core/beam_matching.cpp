@@ -19,8 +19,7 @@ constexpr std::size_t CELLS = 4096;
 constexpr double OFF_RAD = 0.0026, OFF_M = 0.05;
 constexpr double CLOSE_RAD = 0.00175, CLOSE_M = 0.015;
 
-// Fewest returns for which a part pays for its thread; returns of a chunk, by which chances are summed: the sums do not
-// depend on the number of parts.
+// Fewest returns for which a part pays for its thread; returns per chunk of summed chances (independent of the parts).
 constexpr std::size_t PART = 16384, CHUNK = 4096;
 
 MULTIVERSION void look_at_block(const float* points, std::size_t count, float* azimuth, float* slope, float* range_m) {
@@ -52,8 +51,7 @@ struct BySlope {
     }
 };
 
-// Match the returns of one chunk; add to `hits`, and return the number of tested returns and the number expected to be
-// close by chance.
+// Match the returns of one chunk; add to `hits`, and return the numbers of tested returns and of close ones by chance.
 std::pair<std::int64_t, double> match_chunk(View1<const float> slope, View1<const float> range_m, const BeamTable& table,
                                             const BySlope& by_slope, std::int16_t* ring, std::int64_t* hits) {
     const std::size_t rings = table.rings();

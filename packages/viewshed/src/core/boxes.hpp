@@ -20,8 +20,8 @@ class BeamsByAzimuth {
 public:
     BeamsByAzimuth(View1<const float> azimuth, View1<const float> slope, View1<const float> depth_m);
 
-    // Write how many beams meet each box (K, NUMBERS) from a sensor height. With leave_out_own, a beam that ends in a
-    // box continues through it.
+    // Write how many beams meet each box (K, NUMBERS) from a sensor height. With leave_out_own, beams that end in it
+    // continue.
     void count(View2<const float> boxes, float sensor_height_m, bool leave_out_own, View1<std::int32_t> returns) const;
 
 private:

@@ -13,8 +13,7 @@
 namespace viewshed {
 namespace {
 
-// Parameters of the network: MEAN and SCALE of the features, weights and bias of two layers, written by
-// `tools/fit_calibration.py fit`.
+// Network parameters: MEAN and SCALE of features, weights and bias of two layers, by `tools/fit_calibration.py fit`.
 #include "calibration_network.inc"
 
 constexpr std::size_t UNITS = std::size(FIRST_BIAS);
@@ -44,8 +43,7 @@ INLINE float logit_of(float prob) {
     return log2_of((p + LEAST_PROB) / (1.0f + LEAST_PROB - p));
 }
 
-// Write means (columns,) over 2 · half + 1 neighbors of a row; padded (columns + 2 · half,) repeats its outermost
-// values.
+// Write means (columns,) over 2 · half + 1 neighbors of a row; padded (columns + 2 · half,) repeats its ends.
 MULTIVERSION void average_row(const float* __restrict padded, std::size_t columns, std::size_t half, float* __restrict means) {
     const float share = 1.0f / float(2 * half + 1);
     for (std::size_t c = 0; c < columns; ++c) means[c] = padded[c];

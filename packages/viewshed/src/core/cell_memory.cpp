@@ -37,8 +37,8 @@ float suddenness(float speed_mps, float driven_mps) {
     return std::clamp((speed_mps / driven_mps - 1.0f) / (SUDDEN - 1.0f), 0.0f, 1.0f);
 }
 
-// Return the speed from the nearest cover to a place that the newest informed earlier sweep saw free and that none of
-// them saw occupied; else 0.
+// Return the speed from the nearest cover to a place that the newest informed earlier sweep saw free, and none
+// occupied; else 0.
 float arrival_mps(Point3 p, const std::vector<Other>& earlier) {
     float speed_mps = 0.0f, gap_s = 0.0f;
     int free = 0;

@@ -24,8 +24,8 @@ public:
     std::size_t cells() const { return cells_.size(); }
 
 private:
-    // A cell: times of its first and last obstacle, the last obstacle point, and the number of sweeps that saw it
-    // occupied or free.
+    // A cell: times of its first and last obstacle, the last obstacle point, and numbers of sweeps that saw it occupied
+    // or free.
     struct Cell {
         double first_s, last_s;
         Point3 point;

@@ -304,8 +304,7 @@ std::vector<PlanePoint> concave_hull(const std::vector<PlanePoint>& points, doub
         buckets.take_out(buckets.place(k));
     }
     Ring ring(corners);
-    // 2. Bend each edge inward to its best point, in the order of creation, if that is concave enough. Both halves are
-    // queued.
+    // 2. Bend each edge inward to its best point, in the order of creation, if concave enough; queue both halves.
     std::vector<std::size_t> queue(ring.size());
     for (std::size_t k = 0; k < queue.size(); ++k) queue[k] = k;
     std::vector<std::pair<double, std::size_t>> near;

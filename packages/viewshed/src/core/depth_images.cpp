@@ -20,8 +20,7 @@ constexpr const char* NO_PIXEL = "rows must lie in the sweep, ring and column in
 // Fewest returns or pixels for which a part pays for its thread.
 constexpr std::size_t PART = 8192;
 
-// Consecutive returns often fall into one bin. They take turns among HISTOGRAMS histograms, so that increments do not
-// wait for each other.
+// Consecutive returns often fall into one bin. HISTOGRAMS take turns, so that increments do not wait.
 constexpr std::size_t HISTOGRAMS = 4;
 
 // One extra bin for returns that are not from the ground.
@@ -89,8 +88,8 @@ MULTIVERSION void merge_depths(Depth* depths, const Depth* other, std::size_t co
     for (std::size_t k = 0; k < 2 * count; ++k) to[k] = from[k] < to[k] ? from[k] : to[k];
 }
 
-// Subtract masked returns from the counts; saturated counts stay. Most masks are empty: eight elements are tested at
-// once.
+// Subtract masked returns from the counts; saturated counts stay.Tests eight elements at once, as masks are mostly
+// empty.
 void take_out_of_counts(const Pixels& pixels, View1<const bool> mask, View1<const bool> counted,
                         View1<std::uint8_t> counts) {
     const auto take = [&](std::size_t n) {

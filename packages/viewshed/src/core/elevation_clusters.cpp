@@ -61,8 +61,8 @@ struct Origin {
     bool operator==(const Origin&) const = default;
 };
 
-// Write the histogram position of each elevation seen from an origin, -1 for near returns. The sine needs a square
-// root, the angle an arctangent.
+// Write the histogram position of each elevation seen from an origin, -1 for near returns. The sine is cheaper than the
+// angle.
 MULTIVERSION void place_block(const float* slope, const float* range_m, std::size_t count, float height_m,
                               float radius_m, float per_sine, float most, std::int32_t* position) {
     for (std::size_t k = 0; k < count; ++k) {

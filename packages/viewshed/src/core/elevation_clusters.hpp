@@ -20,8 +20,8 @@ struct ElevationClusters {
 // whose clusters explain about as many returns as those of any other.
 std::optional<ElevationClusters> find_clusters(const Directions& seen);
 
-// Return rings by elevation clusters, from the lowest to the highest: a beam without returns has no ring, and returns
-// far from all clusters get -1.
+// Return rings by elevation clusters, from the lowest to the highest, without beams that have no returns; -1 far from
+// all.
 struct ClusteredRings {
     Rings rings;
     ElevationClusters clusters;

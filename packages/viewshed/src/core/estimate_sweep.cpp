@@ -99,8 +99,8 @@ SplitBeams split_beams(const SweepInput& sweep, const UnleveledSweep& limits, co
                        double top_m) {
     const bool is_sure_of_height = sweep.height_m || at.ground.support >= LEAST_SUPPORT;
     if (const auto ring = identity.ring(); ring && is_sure_of_height) {
-        // 1. Use the range image if its pixels are beams: known elevations, and about as many returns in full rings as
-        // columns.
+        // 1. Use the range image if its pixels are beams: known elevations, and about one return per column in full
+        // rings.
         if (identity.model != nullptr && at.image && at.image->has_full_rings) {
             const BeamTable& table = identity.model->beams;
             const View1<const double> elevation{table.elevation.data(), table.rings()};

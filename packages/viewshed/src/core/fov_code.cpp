@@ -20,8 +20,8 @@ constexpr std::size_t DECISIONS_PER_CELL = 4, MORE_DECISIONS = 4096;
 constexpr std::uint32_t END = 0x5a3c;
 constexpr int END_BITS = 16;
 
-// Depth of a level: its distance from the most expected level, i.e. the highest for visible states (FREE 1, SURFACE 2),
-// the lowest otherwise.
+// Depth of a level: distance from the expected level, the highest for visible states (FREE 1, SURFACE 2), else the
+// lowest.
 constexpr int depth_of(int state, int level) { return state == 1 || state == 2 ? LEVELS - 1 - level : level; }
 
 // A symbol combines the state and the level of a cell.
@@ -231,8 +231,7 @@ private:
         }
         state = state_p ^ turn;
 
-        // 3. The depth of the level, by the neighbors' depths: whether it is 0, else depth - 1 in three bits, of which
-        // 7 is an escape for three more.
+        // 3. The depth of the level, by the neighbors' depths: 0, or depth - 1 in three bits, where 7 adds three more.
         const auto depth_here = [&](int neighbor) { return depth_of(state, level_of(neighbor)); };
         const int sum = 2 * depth_here(beside) + 2 * depth_here(below) + depth_here(diagonal) + depth_here(other);
         const int known = turn == 0 ? 1 + std::min(depth_p, PREDICTED_DEPTHS - 2) : 0;

@@ -43,15 +43,14 @@ constexpr double FACE_M2 = 20.0, FOOT_M = 0.25, FOOT_SLOPE = 0.1;
 constexpr float AGREE_M = 0.3f;
 constexpr double LOWER_M = 0.3;
 
-// Largest step to follow, the allowance of flat nodes per meter of their side up to FLAT_NODE_M, and the allowance in
-// doubt.
+// Largest step to follow, plus allowances of flat nodes per meter of side (up to FLAT_NODE_M), and of doubtful ones.
 constexpr double STEP_M = 0.10, FLAT_STEP = 0.05, FLAT_NODE_M = 2.5, DOUBT_STEP_M = 0.10;
 
 // Shares of a step that are followed in height and in slope.
 constexpr double FOLLOWED = 0.7, FOLLOWED_SLOPE = 0.25;
 
-// Without ground, these shares of slope and weight are carried on; the slope differs by at most CARRIED_SLOPE from the
-// carrier plane's.
+// Without ground, these shares of slope and weight are carried on, with at most CARRIED_SLOPE off the carrier plane's
+// slope.
 constexpr float CARRIED_SHARE = 0.9f, CARRIED_SLOPE = 0.15f, CARRIED_WEIGHT = 0.8f, LEAST_WEIGHT = 0.05f;
 
 // Weight of a level that no other direction confirms.
@@ -235,8 +234,7 @@ private:
     Buffer<std::int32_t> count_;  // 0 if not measured yet
 };
 
-// Walk outward from the sensor: heights (n, n), and a mask of nodes whose low points are accepted (n, n). Other nodes
-// have no height.
+// Walk outward from the sensor: heights (n, n) of the accepted nodes (n, n); others have no value.
 class Walk {
 public:
     Walk(const Lattice& lattice, const Lows& lows, Patches& patches, const Plane& carrier)
@@ -244,8 +242,7 @@ public:
           n_(std::ptrdiff_t(lattice.nodes)), node_m_(float(lattice.node_m)), nodes_per_m_(1.0f / node_m_), carrier_x_(carrier[0]), carrier_y_(carrier[1]),
           carrier_z_(carrier[2]), carried_(std::size_t(n_ + 2) * std::size_t(n_ + 2)) {}
 
-    // Run the walk. Attached nodes (n, n) are accepted whatever the step; unconfirmed nodes (n, n) carry on almost
-    // nothing.
+    // Run the walk. Attached nodes (n, n) are accepted whatever the step; unconfirmed ones (n, n) hardly weigh.
     void walk(const bool* attached, const bool* alone);
 
     Buffer<float> height_m;
@@ -254,8 +251,7 @@ public:
 private:
     enum class Kind { refused, followed, patch, below };
 
-    // State carried on by a node: weighted height, rise per node along x and y, and the weight; zeros until it is
-    // visited.
+    // State carried on by a node: weighted height, rise per node along x and y, and the weight; zeros until visited.
     using Carried = float __attribute__((vector_size(16)));
 
     // Prediction from the nodes nearer to the sensor: height, slopes, weight, and their mean offset.

@@ -123,8 +123,7 @@ INLINE bool has_level_around(const float* row, int first, int count, float level
     return has_level(row + first, before_end, level, tolerance) || has_level(row, count - before_end, level, tolerance);
 }
 
-// Check if ground of similar height above the base is seen (bins, SECTORS) beside sector `at`, at about this range in
-// nodes.
+// Check if ground of similar height above the base is seen (bins, SECTORS)beside sector `at`, at about this range.
 MULTIVERSION bool confirms(const float* seen, int bins, int at, float range, float level, float node_m) {
     const int about = 2 + int(range) / 8;
     const float across_m = range * node_m * float(CONFIRM_FROM * 2 * std::numbers::pi / SECTORS);

@@ -5,8 +5,8 @@
 // spread of the averaged heights plus a term that grows with the node size. In a gap along a line of sight it is at
 // least half of the height difference across the gap: an edge occludes lower ground.
 //
-// A level seen only in a narrow sector is not extended sideways: otherwise one wedge of false returns would move the
-// ground of half the view.
+// A level seen only in a narrow sector is not extended sideways: a wedge of false returns must not move half the
+// ground.
 #pragma once
 
 #include "arrays.hpp"

@@ -70,8 +70,7 @@ int sector_of(float x, float y) {
     return int(at) % CARRIER_SECTORS;
 }
 
-// Return the low points within NEAR_M of the sensor. A point's weight falls with the number of nearer ones in its
-// sector.
+// Return the low points within NEAR_M of the sensor. Weights fall with the number of nearer ones in a sector.
 Points3 near_points(const Lows& lows) {
     Points3 near(lows.some.size());
     Buffer<float> square_m2(near.size);

@@ -21,7 +21,7 @@ struct CarrierPlane {
 
 // Fit the plane that carries the sensor, whose height is known or NaN. The best plane has many nodes on it and few
 // below; least squares on its nodes refines it. Near nodes weigh more: a vehicle stands on the ground around it, not on
-// the fields below the embankment.
+// lower fields.
 CarrierPlane carrier_plane(const Lows& lows, double height_m);
 
 struct FreePlane {
@@ -30,8 +30,7 @@ struct FreePlane {
 };
 
 // Return the unit normal of the ground below a sensor tilted by up to 60°. Points (n, 3) are in the sensor frame,
-// weighted by squared distance (the area that a beam stands for). The sensor must be above the plane, with few returns
-// below it.
+// weighted by squared distance (the area that a beam stands for). The sensor is above the plane, and few returns below.
 FreePlane free_plane(View2<const float> points);
 
 }  // namespace viewshed

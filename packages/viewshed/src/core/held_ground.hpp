@@ -13,8 +13,7 @@ struct SeenGround {
     double half_m;
 };
 
-// Transforms between two upright frames (rotated about z only): rows for x and y of the earlier frame (2, 4), and for z
-// of the present one (4,).
+// Transforms between upright frames (rotated about z): rows for x, y of the earlier (2, 4), for z of the present (4,).
 struct HeldPoses {
     float before_from_now[2][4], now_from_before[4];
 };

@@ -18,8 +18,7 @@ constexpr float SIMILAR = 1.25f;
 // A gap in which something farther was seen is closed if it is narrower than this: that was seen from another position.
 constexpr double SEEN_THROUGH_M = 1.0;
 
-// Obstacle map, a square around the sensor. An obstacle is confirmed if two sweeps saw it in the same or in neighboring
-// cells.
+// Obstacle map around the sensor. An obstacle is confirmed if two sweeps saw it in the same or neighboring cells.
 constexpr float MAP_CELL_M = 0.5f;
 constexpr std::int32_t MAP_CELLS = 512;
 
@@ -81,8 +80,7 @@ void mark_cells(const std::vector<Point>& points, std::int32_t number, std::vect
     }
 }
 
-// Draw a sweep's obstacles that another sweep saw as well. `own` is the sweep's number; with NOBODY its own marks count
-// too, which draws all.
+// Draw a sweep's obstacles that another sweep saw as well. `own` is the sweep's number; NOBODY draws all.
 void draw_obstacles(const std::vector<Point>& points, float sensor_height_m, const std::vector<std::int32_t>& seen_by,
                     std::int32_t own, View2<float> image) {
     for (const Point& p : points) {

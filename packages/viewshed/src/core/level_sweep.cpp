@@ -13,8 +13,7 @@ namespace viewshed {
 namespace {
 
 // Trust a plane about the tilt if this share of the near ground (or of the seen area) lies on it, or this share of the
-// returns within ON_PLANE_M of one height: with a sensor that looks down beside far walls, the walls outweigh the
-// ground.
+// returns within ON_PLANE_M of one height: far walls outweigh the ground below a sensor that looks down.
 constexpr double TILT_SUPPORT = 0.35, TILT_RETURNS = 0.5;
 constexpr float ON_PLANE_M = 0.2f;
 
@@ -24,8 +23,7 @@ constexpr std::size_t TILT_SAMPLE = 2500;
 // Lower bound of an estimated sensor height.
 constexpr double LEAST_HEIGHT_M = 0.05;
 
-// Lattice nodes a side for a large and a small extent; nodes and standard deviation of assumed level ground where no
-// ground is seen.
+// Lattice nodes a side for a large and a small extent; nodes and standard deviation of assumed ground.
 constexpr double LARGE_M = 32.0;
 constexpr std::size_t NODES_OF_LARGE = 128, NODES_OF_SMALL = 64, NODES_OF_FLAT = 64;
 constexpr float UNSEEN_STD_M = 1.0f;

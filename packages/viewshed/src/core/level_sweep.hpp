@@ -54,8 +54,7 @@ struct SweepLevel {
     LevelPoints level;
 };
 
-// Level a sweep. An unknown attitude is taken as upright unless the ground is clearly tilted; an unknown height is
-// estimated from the ground.
+// Level a sweep. Unknown attitude: upright unless the ground is clearly tilted; unknown height: from the ground.
 SweepLevel level_sweep(const UnleveledSweep& sweep);
 
 }  // namespace viewshed

@@ -19,8 +19,7 @@ constexpr float LEAST_RANGE_M = 1e-3f;
 // Fewest points for which a part pays for its thread.
 constexpr std::size_t PART = 16384;
 
-// Limits for kept returns: squared ranges, and the half size and heading of the vehicle's box, 0 long without a
-// vehicle.
+// Limits of kept returns: squared ranges; half size (0 without a vehicle) and heading of the vehicle's box.
 struct Limits {
     float near2, far2, ego_length_m, ego_width_m, cos, sin;
 };

@@ -128,9 +128,7 @@ Lows lowest_returns(View2<const float> points, View1<const bool> isolated, View2
         }
     });
 
-    // 2. Find the lowest heights of each node, then their points, which are few. Each part handles its own nodes, from
-    // all
-    //    points.
+    // 2. Find the lowest heights of each node, then their (few) points. Each part handles its own nodes.
     Lows lows(nodes);
     for_ranges(nodes * nodes, parts, [&](std::size_t, std::size_t begin, std::size_t end) {
         Buffer<Heights> heights(end - begin, Heights{});

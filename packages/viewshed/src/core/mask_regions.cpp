@@ -69,9 +69,7 @@ void find_squared_depth(View2<const bool> mask, View2<std::int64_t> depth) {
             nearest = std::min(nearest, next - i);
         }
     }
-    // 2. Across columns: lower envelope of parabolas around each column (Meijster et al. 2000). Columns beyond the
-    // border are
-    //    false.
+    // 2. Across columns: lower envelope of parabolas (Meijster et al. 2000); columns beyond the border are false.
     const std::int64_t wide = columns + 2;
     std::vector<std::int64_t> square(std::size_t(wide), 0), about(std::size_t(wide), 0), from(std::size_t(wide), 0);
     const auto parabola = [&](std::int64_t j, std::int64_t k) { return (j - k) * (j - k) + square[std::size_t(k)]; };

@@ -7,8 +7,7 @@
 
 namespace viewshed {
 
-// Concatenated rings of cell corners: x and y of each corner, start of each ring (one more than rings), and region of
-// each ring, negative for a hole.
+// Concatenated rings: x and y of cell corners, starts of rings (one more), and their regions, negative for holes.
 struct MaskRings {
     std::vector<std::int16_t> corners;
     std::vector<std::int64_t> begin;
@@ -25,8 +24,7 @@ struct ClosedRings {
     View1<const std::int64_t> begin;
 };
 
-// Mark the cells whose centers lie inside closed rings, by the even-odd rule; cell (i, j) spans [i, i + 1] × [j, j +
-// 1].
+// Mark the cells whose centers lie inside closed rings, by the even-odd rule; cell (i, j) spans [i, i + 1].
 void fill_closed_rings(const ClosedRings& rings, View2<bool> inside);
 
 // Mark the cells that an edge of a ring crosses or touches.

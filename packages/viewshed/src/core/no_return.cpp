@@ -50,14 +50,12 @@ constexpr float LOG_NONE = 8.0f, LOG_LEAST = -1.0f;
 // Fewest pixels for which a part pays for its thread.
 constexpr std::size_t PART = 8192;
 
-// A batch of groups for the network, feature by feature: features, log2 of candidate ranges, and 1 for unexplained
-// groups.
+// A batch of groups, feature by feature: features, log2 of candidate ranges, and 1 for unexplained groups.
 struct alignas(Lanes) GroupsAtOnce {
     float feature[FEATURES * AT_ONCE], stop[STOPS * AT_ONCE], unexplained[AT_ONCE];
 };
 
-// Parameters of the network: MEAN and SCALE of the features, weights and bias of three layers, written by
-// `tools/fit_no_return.py fit`.
+// Network parameters: MEAN and SCALE of features, weights and bias of three layers, by `tools/fit_no_return.py fit`.
 #include "no_return_network.inc"
 
 constexpr std::size_t MOST_UNITS = std::max(std::size(FIRST_BIAS), std::size(SECOND_BIAS));
@@ -65,8 +63,8 @@ constexpr std::size_t MOST_UNITS = std::max(std::size(FIRST_BIAS), std::size(SEC
 // Probabilities that a beam exceeds its early, likely and late depth.
 constexpr std::array<float, 3> SURVIVED{0.8f, 0.5f, 0.2f};
 
-// Outputs of the network: logits of each stop, of a free beam, and of an unseen stop; the mean and the log deviation of
-// the log2 range of an unseen stop.
+// Outputs of the network: logits of each stop, of a free beam, and of an unseen stop; mean and log deviation of the
+// latter's log2 range.
 enum Output { FREE = STOPS, UNSEEN, UNSEEN_MEAN, UNSEEN_LOG_DEVIATION, OUTPUTS };
 
 static_assert(std::size(MEAN) == FEATURES && std::size(SCALE) == FEATURES && std::size(THIRD_BIAS) == OUTPUTS);
@@ -75,8 +73,7 @@ static_assert(std::size(SECOND) == std::size(FIRST_BIAS) * std::size(SECOND_BIAS
 static_assert(std::size(THIRD) == std::size(SECOND_BIAS) * OUTPUTS);
 
 // Fail-safe: if at least this share of the ground returns, a beam without a return neither met the ground nor passed
-// it, nor did the beams above. Stops farther away get less weight there: the network has seen too few absorbing
-// objects.
+// it, nor did the beams above. Stops farther away get less weight there: the network saw few absorbing objects.
 constexpr double EXPECTED_SHARE = 0.9;
 constexpr float NO_LOGIT = -1e9f;  // of a missing stop
 constexpr float LOG_UNEXPLAINED_WEIGHT = -3.91202f;  // log of a weight of 0.02
@@ -227,8 +224,7 @@ public:
     std::size_t rings;
 
 private:
-    // Cumulative sum of the rings below `ring` and the columns before `column`, which counts from one turn before
-    // column 0.
+    // Cumulative sum of the rings below `ring` and the columns before `column`, counted from one turn before.
     Four until(std::size_t ring, std::size_t column) const {
         const Four* row = &before_[ring * (POOLED + 1)];
         return row[column % POOLED] + float(column / POOLED) * row[POOLED];
@@ -256,8 +252,7 @@ double median_share(const ShareCounts& returned, const ShareCounts& lost, std::s
     return 0.0;
 }
 
-// Return the share of ground beams that return in each range bin: the median over sectors, with the previous (nearer)
-// bin's share as prior.
+// Return the returning share of ground beams by range bin: median over sectors, with the nearer bin as prior.
 Shares returning_shares(const ShareCounts& returned, const ShareCounts& lost) {
     Shares share;
     double before = 1.0;
@@ -436,8 +431,7 @@ private:
             group.near_m = near.nearest_m, group.far_m = far.nearest_m;
             group.is_near_obstacle = near.obstacle_m < NONE, group.is_far_obstacle = far.obstacle_m < NONE;
             group.bound_m = bound_of(images, r, c);
-            // A beam with a higher origin appears less steep from the sensor's origin: repeat with the slope at that
-            // range.
+            // A higher beam origin makes the beam appear less steep: repeat with the slope at that range.
             const std::size_t sector = ground_sector(group.azimuth);
             group.ground_m = meet_ground(polar, sector, group.slope, at);
             const float rise_m = float(aims.origin_m[r]);

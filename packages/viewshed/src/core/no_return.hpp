@@ -20,8 +20,7 @@ constexpr std::size_t FEATURES = 42;
 // return below or above in its column, the ground, the mean range around it, the farthest return of its azimuth.
 enum Stop { NEARER, FARTHER, BELOW, ABOVE, ON_GROUND, AROUND, FARTHEST, STOPS };
 
-// Directions of the beams of each ring: phase within a column, elevation in radians, and height of the origin in
-// meters.
+// Directions of the beams of each ring: phase in a column, elevation in radians, height of the origin in meters.
 struct RingAims {
     View1<const float> phase;
     View1<const double> elevation, origin_m;

@@ -87,8 +87,8 @@ INLINE std::int32_t cell_of(float x, float y) {
     return i * CELLS + j;
 }
 
-// Return the cells that hold returns, and sort the rows of the points by cell. `number` (CELLS²) is the index of each
-// cell, -1 for none.
+// Return the cells that hold returns, and sort the rows of the points by cell. `number` (CELLS²) maps to them, -1 for
+// none.
 std::vector<Cell> cells_of(View2<const float> points, View1<const float> height_m, Buffer<std::int32_t>& number,
                            std::vector<std::int32_t>& rows) {
     const std::size_t count = points.rows;
@@ -267,8 +267,7 @@ struct Interval {
     float length() const { return high > low ? high - low : 0.0f; }
 };
 
-// Return the closeness criterion of Zhang et al. 2017: how well returns (n,) lie on the sides of their bounding box at
-// a heading.
+// Return the closeness criterion of Zhang et al. 2017: how well returns (n,) lie on the sides of their rotated box.
 MULTIVERSION float closeness(const float* x, const float* y, std::size_t count, float c, float s) {
     float a_low = 1e30f, a_high = -1e30f, b_low = 1e30f, b_high = -1e30f;
     for (std::size_t n = 0; n < count; ++n) {

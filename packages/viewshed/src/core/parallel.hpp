@@ -16,8 +16,8 @@ void set_threads(std::size_t count);
 // Rethrows the exception of the first part (lowest k) that threw.
 void run_parts(std::size_t parts, const std::function<void(std::size_t)>& part);
 
-// Split [0, size) into about equal ranges of at least `least` elements, at most one per thread, and call body(part,
-// begin, end) for each.
+// Split [0, size) into about equal ranges of at least `least` elements, at most one per thread; call body(part, begin,
+// end).
 std::size_t count_parts(std::size_t size, std::size_t least);
 template <typename Body>
 void for_ranges(std::size_t size, std::size_t parts, const Body& body) {

@@ -8,8 +8,7 @@
 
 namespace viewshed {
 
-// Reimplements numpy's default_rng(0) (PCG64, O'Neill 2014; Lemire's bounded integers), so that samples equal those in
-// Python.
+// Reimplements numpy's default_rng(0) (PCG64, O'Neill 2014; Lemire's bounded integers): the same samples as in Python.
 class RandomNumbers {
 public:
     // Return a random number in [0, count).

@@ -114,8 +114,7 @@ private:
     std::vector<std::uint8_t> bytes_;
 };
 
-// Decodes decisions. Any bytes give decisions: `failed` tells that they cannot be a code, `ended` that the code is
-// complete.
+// Decodes decisions. Any bytes give decisions: `failed` tells invalid codes, `ended` complete ones.
 class RangeDecoder {
 public:
     static constexpr bool DECODES = true;

@@ -161,9 +161,7 @@ RangeImage range_image(View2<const float> points, View1<const std::int16_t> ring
     }
     image.has_full_rings = are_rings_full(ring_sizes, columns);
 
-    // 2. The pixel of each return. A column reaches half a step to either side of its firing: + 0.5 - phase, plus one
-    // turn to
-    //    stay positive.
+    // 2. The pixel of each return. A column reaches half a step around its firing: + 0.5 - phase, plus one turn.
     const auto turn = std::int32_t(columns);
     std::vector<Pixels> pixels_of;
     for (std::size_t part = 0; part < parts; ++part) pixels_of.emplace_back(pixels);

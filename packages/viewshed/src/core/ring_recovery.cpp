@@ -23,8 +23,7 @@ constexpr double UNKNOWN = std::numeric_limits<double>::quiet_NaN();
 constexpr float BACK = 0.35f;
 constexpr std::size_t SOON = 8;
 
-// A step of the azimuth against its direction, in radians. Points are stored ring by ring if at most this share of the
-// steps goes backward.
+// A step of the azimuth against its direction, in radians. Points stored ring by ring have few such steps.
 constexpr float BACKWARD = 0.003f;
 constexpr double MOST_BACKWARD = 0.03;
 
@@ -63,8 +62,7 @@ constexpr std::size_t SAMPLED_RINGS = 6, FEWEST_GAPS = 16;
 constexpr double GAP_BIN = 0.01 * std::numbers::pi / 180, LEAST_BINS = 3, MOST_BINS = 300;
 constexpr long FEWEST_COLUMNS = 4, MOST_COLUMNS = 36'000;
 
-// A step within 5 % of the model's is accepted. Irregular firing has gaps over 1.3 steps; COVERED is the share of the
-// angle.
+// A step within 5 % of the model's is accepted. Irregular firing has gaps over 1.3 steps, over 90 % of the angle.
 constexpr double STEP_KNOWN = 0.05, IRREGULAR = 1.3, COVERED = 0.9;
 
 // A run of consecutive points of one ring, up to the next run.
@@ -89,8 +87,8 @@ INLINE float angle_past(float x, float y, float start, float sense) {
     return a < 0.0f ? a + TURN : a;
 }
 
-// Mark the steps of points (count, 3) that cross the seam, and return the number of backward steps. `before` is the
-// angle before the block.
+// Mark the steps of points (count, 3) that cross the seam; return the number of backward steps. `before` is the angle
+// before.
 MULTIVERSION std::size_t mark_steps(const float* points, std::size_t count, float start, float sense, float before,
                                     std::uint8_t* marked) {
     float x[BLOCK], y[BLOCK], angle[BLOCK + 1];
@@ -111,8 +109,7 @@ MULTIVERSION std::size_t mark_steps(const float* points, std::size_t count, floa
 
 // Count rings by wraps of the azimuth past `start` in a direction of rotation; none if too many steps go backward.
 //
-// A step back over `start` soon after a wrap reverts the wrap. Stray first and last rings are merged into their
-// neighbor.
+// A step back over `start` soon after a wrap reverts the wrap. Stray first and last rings are merged.
 Order order_rings(View2<const float> points, float start, float sense) {
     const std::size_t count = points.rows;
     Order order;
@@ -166,8 +163,7 @@ Order order_rings(View2<const float> points, float start, float sense) {
         }
     }
     if (wraps > 0) order.one_way = double(std::max(rising, falling)) / wraps;
-    // 3. Merge stray first and last rings. Points after a wrap that was reverted at the very end belong to the last
-    // ring.
+    // 3. Merge stray first and last rings. Points after a reverted last wrap belong to the last ring.
     std::vector<std::size_t> sizes(std::size_t(wraps) + 1, 0);
     for (std::size_t k = 0; k < runs.size(); ++k) {
         runs[k].ring = std::min(runs[k].ring, wraps);

@@ -175,16 +175,15 @@ double roughly_off(const ShownRings& rings, const std::vector<RingMedian>& media
 
 // Return the beam (rings,) of the table for each ring, or none if they do not match.
 //
-// They match if the rings have distinct beams in the same order and most returns are in rings at consecutive beams. Two
-// clusters may share a beam.
+// They match if rings have distinct beams in order, with most returns at consecutive beams. Two clusters may share one.
 std::optional<std::vector<std::size_t>> beams_of_rings(const ShownRings& rings, const ReturnsByRing& returns,
                                                        const BeamTable& table) {
     if (!is_as_many(rings, table)) return std::nullopt;
     std::vector<std::size_t> beam(rings.count);
     std::iota(beam.begin(), beam.end(), std::size_t{0});
     if (rings.count == table.rings() && !rings.are_clusters()) return beam;
-    // 1. Find the nearest beam of each ring, then again from that beam's origin. Rings with near returns only have no
-    //    elevation and are interpolated.
+    // 1. Find the nearest beam of each ring, then again from that beam's origin. Interpolate rings without an
+    // elevation.
     std::vector<double> origin_m(rings.count, table.mean_origin_m);
     std::vector<std::size_t> known;
     for (int time = 0; time < 2; ++time) {
@@ -222,8 +221,7 @@ std::optional<std::vector<std::size_t>> beams_of_rings(const ShownRings& rings, 
     return beam;
 }
 
-// Return the share of returns whose ring lies at a beam of the table, over rings with a known elevation; 0 if rings and
-// beams do not match.
+// Return the share of returns, over rings with a known elevation, whose ring lies at its beam; 0 without a match.
 double ring_score(const ShownRings& rings, const ReturnsByRing& returns, const BeamTable& table) {
     const auto beam = beams_of_rings(rings, returns, table);
     if (!beam) return 0.0;
@@ -343,8 +341,7 @@ ReturnsByRing sample_by_ring(View2<const float> points, const ShownRings& rings,
     return returns_by_ring(ring, rings.count, sample.slope.data(), sample.range_m.data());
 }
 
-// Renumber rings (N,) as the table's beams, if there are fewer rings than beams; none if no change is needed or
-// possible.
+// Renumber rings (N,) as the table's beamsif there are fewer; none if that is not needed or possible.
 std::optional<Buffer<std::int16_t>> counted_as_beams(const ShownRings& rings, const float* slope, const float* range_m,
                                                      const BeamTable& table) {
     if (rings.count == table.rings()) return std::nullopt;
@@ -408,8 +405,7 @@ std::optional<AtRest> undo_motion_of(View2<const float> points) {
     return at_rest;
 }
 
-// Identification of a bare cloud without undoing motion: table, score and rings; two sources of rings are tried in
-// turn.
+// Identification of a bare cloud without undoing motion: table, score, and rings of the first or second source.
 struct Identified {
     int table = NO_SENSOR;
     double score = 0.0;
@@ -565,8 +561,7 @@ SensorId identify_by_points(View2<const float> points, const BeamTables& tables,
             if (table != NO_SENSOR) found.table = table;
         }
     }
-    // 3. Renumber rings as the table's beams. Clusters miss beams without returns: use the beams nearest to the
-    // returns.
+    // 3. Renumber rings as the table's beams. Clusters miss empty beams: use the nearest beams.
     if (found.counted) {
         // On sloping ground the median elevations drift slowly: update the layout.
         const std::size_t count = found.rings->count;

@@ -35,8 +35,7 @@ struct Expected {
 // With a table of a known sensor: rings are its beams, or OTHER_BEAMS if the points cluster at other elevations.
 // Otherwise: find the sensor that matches the rings (N,); bare points first get rings from their order or elevations.
 // Nothing is returned if no evidence is found. An expected sensor is tested first, on a small sample, and accepted if
-// there is no doubt. An expected layout is accepted if the rings by order match it or the returns cluster at its
-// elevations.
+// there is no doubt. So is an expected layout, if the rings by order or the elevations match it.
 SensorId identify_sensor(View2<const float> points, std::optional<View1<const std::int16_t>> ring, const BeamTable* table,
                          bool is_inferred, Expected expected);
 

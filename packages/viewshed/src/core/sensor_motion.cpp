@@ -44,8 +44,8 @@ constexpr double COARSE_BIN = 0.2 * DEGREE, FINE_BIN = 0.1 * DEGREE, FINEST_BIN 
 constexpr double COARSE_STEP_M = 0.1, FINE_STEP_M = 0.05;
 
 // Sharpness: concentration in the finest bins relative to the widest ones; 1 is sharp, about 0.15 is smooth. A motion
-// above SHARP is accepted at once. If all motions of the first seam are below SMOOTH, the sensor has no rings, or the
-// points are not in its frame.
+// above SHARP is accepted at once. If all motions of the first seam are below SMOOTH, there are no rings, or the points
+// are in another frame.
 constexpr double SHARP = 0.8, SMOOTH = 0.26;
 
 // Fixed-point iterations between the azimuth at which a point was measured and the sensor's position at that time.
@@ -90,8 +90,8 @@ MULTIVERSION void place_elevations(const float* x, const float* y, const float* 
     }
 }
 
-// Return the concentration of the elevations of the first `count` returns with a motion undone: the sum of squares of
-// their histogram.
+// Return the concentration of the elevations of the first `count` returns with a motion undone: the histogram's sum of
+// squares.
 std::int64_t gather(const Returns& returns, std::size_t count, const Way& way_m, double bin_sine) {
     constexpr auto MOST_BINS = std::size_t(2.0 / FINEST_BIN) + 1;
     const auto bins = std::size_t(2.0 / bin_sine) + 1;

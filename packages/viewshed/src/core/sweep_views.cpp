@@ -21,8 +21,8 @@ constexpr int DIRECTIONS = 360;
 // Things nearer to the sensor are not seen.
 constexpr float BLIND_M = 2.5f;
 
-// Tolerance for returns of the same surface, and margin beyond a place for beams that pass it freely; each a distance
-// plus a share of the range.
+// Tolerance of one surface, and margin beyond a place for beams that pass it; each a distance plus a share of the
+// range.
 constexpr float SAME_M = 0.5f, SAME_SHARE = 0.02f, BEYOND_M = 1.0f, BEYOND_SHARE = 0.04f;
 
 // Half width of the free passage around a place, and the most columns to either side.
@@ -143,7 +143,7 @@ Seen SweepView::look_at(Point3 p) const {
     const float same_m = SAME_M + SAME_SHARE * pixel.range_m;
     if (std::fabs(ring(std::size_t(pixel.ring))[pixel.column] - pixel.range_m) <= same_m) return Seen::OCCUPIED;
     // Check the ring at the place and the one above, over a width of HALF_WIDTH_M to either side. The ring below may
-    // end on the ground before it.
+    // hit the ground.
     const float step_m = pixel.range_m * (2 * PI / float(columns_));
     const int half = std::clamp(int(std::ceil(HALF_WIDTH_M / step_m)), 1, MOST_COLUMNS);
     const float beyond_m = pixel.range_m + BEYOND_M + BEYOND_SHARE * pixel.range_m;

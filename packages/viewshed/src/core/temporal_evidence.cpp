@@ -157,8 +157,7 @@ void find_repeats(const SweepView& view, const SweepView& other, View1<float> sh
 
 namespace {
 
-// Neighboring beams to each side in which a range is searched, and the change of range of a surface as the sensor
-// moves.
+// Neighboring beams to each side in which a range is searched, and the change of range by the sensor's motion.
 constexpr int BESIDE = 3;
 constexpr float MOVED_M = 0.6f, MOVED_SHARE = 0.1f;
 constexpr int LEAST_IN_SECTOR = 20;
@@ -339,8 +338,8 @@ struct Surface {
     double x, y, nx, ny;
 };
 
-// Return the vertical surface of a sweep nearest to p along its beam: the line through two beams of a ring, if the beam
-// between them lies on it.
+// Return the vertical surface of a sweep nearest to p along its beam: a line through two beams of a ring, if that
+// between fits.
 std::optional<Surface> surface_at(const SweepView& view, Point3 p) {
     const SweepView::Pixel pixel = view.pixel_of(p);
     if (pixel.ring < 0) return std::nullopt;

@@ -1,5 +1,5 @@
-// Temporal evidence for a monitor: objects that appear or vanish in plain view, surfaces that jump, ranges that repeat,
-// and inconsistent poses.
+// Temporal evidence of a monitor: objects that appear or vanish, surfaces that jump, repeated ranges, inconsistent
+// poses.
 #pragma once
 
 #include <array>

@@ -29,7 +29,7 @@ typedef float Lanes __attribute__((vector_size(AT_ONCE * sizeof(float))));
 constexpr float MOST_DEVIATIONS = 6.0f;
 
 // Return the azimuth of (x, y) in [-π, π) radians, within 2e-5; 0 at the origin. An odd minimax polynomial of degree 11
-// of the arctangent on [0, 1].
+// on [0, 1].
 INLINE float azimuth_of(float y, float x) {
     const float ax = std::fabs(x), ay = std::fabs(y);
     const float small = ax < ay ? ax : ay, large = ax < ay ? ay : ax;

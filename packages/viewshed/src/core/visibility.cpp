@@ -158,8 +158,7 @@ MULTIVERSION void find_columns(const float* azimuth, const float* slope, std::si
     }
 }
 
-// Write the last range bin that each beam of a block reaches. A beam reaches a cell if its depth is at least the cell's
-// range less one cell.
+// Write the last range bin that each beam of a block reaches: the cell's range is at most its depth plus one cell.
 MULTIVERSION void find_last_bins(const float* depth_m, std::size_t count, float cell_m, float farthest, std::int32_t* last) {
     for (std::size_t n = 0; n < count; ++n) {
         float bin = depth_m[n] / cell_m + 0.5f;
@@ -241,8 +240,7 @@ INLINE std::size_t count_column(const Columns<COUNT>& columns, std::size_t colum
             last[d] = beam.last[d];
             farthest = last[d] > farthest ? last[d] : farthest;
         }
-        // Process whole vectors and mask the bins beyond the last. Most beams pass above the first bins, or end before
-        // the last.
+        // Process whole vectors and mask the bins beyond the last. Most beams pass above the first, or end early.
         std::size_t begin = 0, end = vectors_to(farthest);
         while (begin < end && s > highest_top[begin]) ++begin;
         while (begin < end && s < lowest_foot[end - 1]) --end;
@@ -313,8 +311,7 @@ MULTIVERSION void sum_segment(const Job& job, std::size_t segment) {
     const std::size_t bins = windows.bins, stride = windows.stride;
     constexpr std::size_t SECTORS = SEGMENT_COLUMNS / SECTOR_COLUMNS;
     const std::size_t vectors = stride / VECTOR;
-    // Cumulative sums (stride,) over the columns so far, what the current column adds to them, and the same lane by
-    // lane.
+    // Cumulative sums (stride,) over the columns so far, the current column's part of them, and the same by lane.
     Buffer<Row> sums(stride), added(stride);
     Buffer<std::int32_t> counts(AIMED * stride);
     Buffer<float> aimed(stride);
@@ -334,8 +331,7 @@ MULTIVERSION void sum_segment(const Job& job, std::size_t segment) {
         const float* const limits = job.limits + sector * LIMITS * stride;
         const float* const spans = job.spans + sector * 2 * vectors;
         // Beams that aim at a target in each bin: those below its top minus those below its foot. The sector weighs 1/2
-        // and each neighbor 1/4, since firings do not divide evenly among sectors; the sector's columns share the count
-        // equally.
+        // and each neighbor 1/4, since firings do not divide evenly among sectors; columns share it equally.
         const std::uint32_t *before = below[step % 3], *own = below[(step + 1) % 3];
         std::uint32_t* const after = below[(step + 2) % 3];
         count_slopes(job, (sector + 1) % GROUND_SECTORS, after);

@@ -55,8 +55,7 @@ constexpr std::size_t SECTOR_COLUMNS = AZIMUTH_COLUMNS / GROUND_SECTORS;
 // Azimuth windows of a target in each of N cells; computed once for a grid and a target width.
 class CellWindows {
 public:
-    // One end of a window: its cell (or row, see Crossing), its range bin, and its position within its column, in [0,
-    // 1).
+    // One end of a window: cell (or row, see Crossing), range bin, and position within its column, in [0, 1).
     struct End {
         std::uint32_t row, bin;
         float part;
@@ -96,8 +95,7 @@ struct CellCounts {
     void read(std::size_t first, std::size_t count, float (*lanes)[BLOCK]) const;
 };
 
-// Count beams. With `deviations`, the lanes LOWER and HIGHER shift the ground by that many standard deviations;
-// otherwise they are 0.
+// Count beams. `deviations` shift the ground of LOWER and HIGHER in standard deviations; without, these lanes are 0.
 CellCounts count_beams(const CellWindows& windows, const Beams& measured, const LostBeams& lost, const TargetGround& ground,
                        float target_height_m, const std::array<float, 2>* deviations);
 
