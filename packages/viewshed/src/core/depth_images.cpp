@@ -88,7 +88,7 @@ MULTIVERSION void merge_depths(Depth* depths, const Depth* other, std::size_t co
     for (std::size_t k = 0; k < 2 * count; ++k) to[k] = from[k] < to[k] ? from[k] : to[k];
 }
 
-// Subtract masked returns from the counts; saturated counts stay.Tests eight elements at once, as masks are mostly
+// Subtract masked returns from the counts; saturated counts stay. Eight elements are tested at once: masks are mostly
 // empty.
 void take_out_of_counts(const Pixels& pixels, View1<const bool> mask, View1<const bool> counted,
                         View1<std::uint8_t> counts) {

@@ -14,8 +14,8 @@ struct BlockerRules {
     float margin_m;                // tolerance for a cell's center beyond the limit
 };
 
-// Return the range (bins,) up to which a cell's center is visible, -1 for a bin without a return.0 bins: as many as the
-// returns fill.
+// Return the range (bins,) up to which a cell's center is visible, -1 for a bin without a return. `bins` = 0 takes as
+// many bins as the returns fill.
 Buffer<float> first_blocker(const LeveledReturns& returns, std::size_t bins, const BlockerRules& rules);
 
 }  // namespace viewshed

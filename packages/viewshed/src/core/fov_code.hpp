@@ -38,7 +38,7 @@ struct DecodedView {
 };
 
 // Encode a view without loss. Cells are coded outward from the sensor, row by row, in the context of their four coded
-// neighbors: most equal the one toward the sensor.Empty if a view is too irregular: decoding is bounded.
+// neighbors: most equal the one toward the sensor. Empty if a view is too irregular: decoding is bounded.
 std::vector<std::uint8_t> encode_view(const CodedCells& cells, SensorCell sensor);
 
 // Decode a view; false if the bytes are no code of such a view.

@@ -40,8 +40,8 @@ constexpr std::size_t PART = 8192;
 
 INLINE bool is_between(float value, float low, float high) { return (value > low) & (value < high); }
 
-// Write the nearest returns of one ring, negated if one of the four adjacent pixels confirms them(vectorized: most
-// are).
+// Write the nearest returns of one ring, negated if an adjacent pixel confirms them. Vectorized: this covers most
+// returns.
 MULTIVERSION void confirm_ring(const float* below, const float* row, const float* above, std::size_t columns,
                                float* confirmed) {
     confirmed[0] = row[0];
@@ -64,7 +64,7 @@ float next_in_ring(const float* row, int columns, int c, int step) {
     return NONE;
 }
 
-// Check that there are returns around (r, c), none of them at a range similar to sqrt(d2).Silent columns need none.
+// Check that there are returns around (r, c), none of them at a range similar to sqrt(d2). Silent columns need none.
 bool is_isolated(View2<const float> nearest_m2, int r, int c, float d2, bool silent) {
     const int rings = int(nearest_m2.rows), columns = int(nearest_m2.columns);
     const float low = d2 * DOWN, high = d2 * UP;

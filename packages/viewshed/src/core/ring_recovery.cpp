@@ -23,7 +23,7 @@ constexpr double UNKNOWN = std::numeric_limits<double>::quiet_NaN();
 constexpr float BACK = 0.35f;
 constexpr std::size_t SOON = 8;
 
-// A step of the azimuth against its direction, in radians. Points stored ring by ring have few such steps.
+// A step of the azimuth against its direction, in radians; its largest share for points that are stored ring by ring.
 constexpr float BACKWARD = 0.003f;
 constexpr double MOST_BACKWARD = 0.03;
 

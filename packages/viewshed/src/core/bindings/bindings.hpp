@@ -1,5 +1,4 @@
-// Helpers of the bindings: numpy arrays as views, and buffers that become numpy arrays without a copy.Bindings check
-// all arrays.
+// Helpers of the bindings, which check all arrays: numpy arrays as views, and buffers as numpy arrays without a copy.
 #pragma once
 
 #include <nanobind/nanobind.h>
