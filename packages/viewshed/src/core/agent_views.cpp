@@ -18,14 +18,14 @@ constexpr std::array<double, 5> SIGHTS{0.1, 0.3, 0.5, 0.7, 0.9};
 constexpr double LEAST_SLOPE = 1e-9;
 
 // Different sides of one surface may lie a cell or two apart: deny it only if all cells within this distance are free.
-constexpr double ABOUT_M = 1.0;
+constexpr double AROUND_M = 1.0;
 
 // Sectors of a view; most sectors to each side covered by a near surface; margin before a surface.
-constexpr int SECTORS = 180, WIDEST = 6;
+constexpr int SECTORS = 180, MAX_WIDENING = 6;
 constexpr double BEFORE_M = 0.5;
 
 // Cell coordinates beyond this become 0; nothing lies there.
-constexpr double MOST_CELLS = 1e9;
+constexpr double MAX_CELLS = 1e9;
 
 bool is_visible(std::uint8_t state) { return state == FREE || state == SURFACE; }
 
@@ -73,7 +73,7 @@ public:
     void widen(double cell_m) {
         const auto narrow = first_m_;
         for (int sector = 0; sector < SECTORS; ++sector) {
-            for (int step = 1; step <= WIDEST; ++step) {
+            for (int step = 1; step <= MAX_WIDENING; ++step) {
                 if (step > 1 && !(narrow[std::size_t(sector)] * step * (TURN / SECTORS) <= cell_m)) break;
                 for (const int beside : {sector + step, sector + SECTORS - step}) {
                     double& first_m = first_m_[std::size_t(beside % SECTORS)];
@@ -98,7 +98,7 @@ double part_of_side(std::size_t k, std::size_t count) {
 
 std::int32_t map_step(double along_m, double cell_m, std::int32_t last) {
     const double at = std::floor(along_m / cell_m);
-    return std::fabs(at) < MOST_CELLS ? std::int32_t(at) & last : 0;
+    return std::fabs(at) < MAX_CELLS ? std::int32_t(at) & last : 0;
 }
 
 // Sampled margin of a box, and the width of the ring around it.
@@ -286,8 +286,8 @@ void compare_view(const ViewCells<std::uint8_t>& states, const ViewGround& groun
         if (!is_on(states, x, y) || !is_visible(state_at(states, x, y))) continue;
         ++counts(0, owner);
         bool all_free = true;
-        for (const double dx : {-ABOUT_M, 0.0, ABOUT_M}) {
-            for (const double dy : {-ABOUT_M, 0.0, ABOUT_M}) all_free &= state_at(states, x + dx, y + dy) == FREE;
+        for (const double dx : {-AROUND_M, 0.0, AROUND_M}) {
+            for (const double dy : {-AROUND_M, 0.0, AROUND_M}) all_free &= state_at(states, x + dx, y + dy) == FREE;
         }
         counts(1, owner) += all_free;
     }

@@ -27,10 +27,10 @@ constexpr std::size_t TABLES = 4;
 constexpr std::size_t PART = 16384;
 
 // Write the index of each return of a block in the tables.
-MULTIVERSION void find_places(const float* azimuth, std::size_t count, std::size_t bins, std::int32_t* place) {
+MULTIVERSION void find_places(const float* azimuth, std::size_t count, std::size_t bins, std::int32_t* slot) {
     const double per_rad = bins_per_rad(bins), last = double(bins - 1);
-    for (std::size_t k = 0; k < count; ++k) place[k] = azimuth_bin(azimuth[k], per_rad, last);
-    for (std::size_t k = 0; k < count; ++k) place[k] += std::int32_t(k % TABLES) * std::int32_t(bins);
+    for (std::size_t k = 0; k < count; ++k) slot[k] = azimuth_bin(azimuth[k], per_rad, last);
+    for (std::size_t k = 0; k < count; ++k) slot[k] += std::int32_t(k % TABLES) * std::int32_t(bins);
 }
 
 // Write the range of each return of a block that is an obstacle, +inf for the others.
@@ -64,22 +64,22 @@ std::size_t bins_filled(View1<const bool> occupied) {
         for (std::size_t b = 0; b < bins; ++b) {
             filled[b] = std::find(&occupied[b * width], &occupied[b * width] + width, true) != &occupied[b * width] + width;
         }
-        std::size_t some = 0, inner = filled[bins - 1] && filled[0] && filled[1];
+        std::size_t occupied_bins = 0, inner = filled[bins - 1] && filled[0] && filled[1];
         inner += filled[bins - 2] && filled[bins - 1] && filled[0];
-        for (std::size_t b = 0; b < bins; ++b) some += filled[b];
+        for (std::size_t b = 0; b < bins; ++b) occupied_bins += filled[b];
         for (std::size_t b = 1; b + 1 < bins; ++b) inner += filled[b - 1] & filled[b] & filled[b + 1];
-        if (double(inner) >= FILLED_SHARE * double(std::max<std::size_t>(some, 1))) return bins;
+        if (double(inner) >= FILLED_SHARE * double(std::max<std::size_t>(occupied_bins, 1))) return bins;
     }
     return FALLBACK_BINS;
 }
 
 std::size_t bins_filled_by(View1<const float> azimuth) {
     Buffer<bool> occupied(TABLES * NARROWEST_BINS, false);
-    std::int32_t place[BLOCK];
+    std::int32_t slot[BLOCK];
     for (std::size_t start = 0; start < azimuth.size; start += BLOCK) {
         const std::size_t size = std::min(BLOCK, azimuth.size - start);
-        find_places(&azimuth[start], size, NARROWEST_BINS, place);
-        for (std::size_t k = 0; k < size; ++k) occupied[std::size_t(place[k])] = true;
+        find_places(&azimuth[start], size, NARROWEST_BINS, slot);
+        for (std::size_t k = 0; k < size; ++k) occupied[std::size_t(slot[k])] = true;
     }
     for (std::size_t k = NARROWEST_BINS; k < occupied.size(); ++k) occupied[k % NARROWEST_BINS] |= occupied[k];
     return bins_filled({occupied.data(), NARROWEST_BINS});
@@ -94,16 +94,16 @@ BinRanges find_ranges(const LeveledReturns& returns, std::size_t bins) {
     Buffer<float> farthest(parts * size, NO_RETURN), nearest(has_heights ? parts * size : 0, NO_OBSTACLE);
     for_ranges(count, parts, [&](std::size_t part, std::size_t begin, std::size_t end) {
         float *far = farthest.data() + part * size, *near = nearest.data() + part * size;
-        std::int32_t place[BLOCK];
+        std::int32_t slot[BLOCK];
         float obstacle_m[BLOCK];
         for (std::size_t start = begin; start < end; start += BLOCK) {
             const std::size_t block = std::min(BLOCK, end - start);
             const float* range_m = &returns.range_m[start];
-            find_places(&returns.azimuth[start], block, bins, place);
-            for (std::size_t k = 0; k < block; ++k) far[place[k]] = std::max(far[place[k]], range_m[k]);
+            find_places(&returns.azimuth[start], block, bins, slot);
+            for (std::size_t k = 0; k < block; ++k) far[slot[k]] = std::max(far[slot[k]], range_m[k]);
             if (!has_heights) continue;
             keep_obstacles(range_m, &returns.height_m[start], block, returns.low_m, returns.high_m, obstacle_m);
-            for (std::size_t k = 0; k < block; ++k) near[place[k]] = std::min(near[place[k]], obstacle_m[k]);
+            for (std::size_t k = 0; k < block; ++k) near[slot[k]] = std::min(near[slot[k]], obstacle_m[k]);
         }
     });
     // 2. Merge by maxima and minima, which do not depend on the parts.

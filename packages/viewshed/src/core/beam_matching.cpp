@@ -22,7 +22,7 @@ constexpr double CLOSE_RAD = 0.00175, CLOSE_M = 0.015;
 // Fewest returns for which a part pays for its thread; returns per chunk of summed chances (independent of the parts).
 constexpr std::size_t PART = 16384, CHUNK = 4096;
 
-MULTIVERSION void look_at_block(const float* points, std::size_t count, float* azimuth, float* slope, float* range_m) {
+MULTIVERSION void directions_of_block(const float* points, std::size_t count, float* azimuth, float* slope, float* range_m) {
     float x[BLOCK], y[BLOCK];
     for (std::size_t k = 0; k < count; ++k) {
         x[k] = points[3 * k];
@@ -57,7 +57,7 @@ std::pair<std::int64_t, double> match_chunk(View1<const float> slope, View1<cons
     const std::size_t rings = table.rings();
     const double *tangent = by_slope.tangent.data(), *origin_m = table.origin_m.data();
     const double lowest = tangent[0], per_slope = double(CELLS) / std::max(tangent[rings - 1] - lowest, 1e-6);
-    std::int64_t tried = 0;
+    std::int64_t tested = 0;
     double chance = 0.0;
     for (std::size_t n = 0; n < slope.size; ++n) {
         ring[n] = -1;
@@ -70,52 +70,52 @@ std::pair<std::int64_t, double> match_chunk(View1<const float> slope, View1<cons
         const auto off = [&](std::size_t beam) { return std::abs(tangent[beam] + origin_m[beam] * per_m - t); };
         double error = off(best);
         while (best > 0) {
-            const double other = off(best - 1);
-            if (other >= error) break;
+            const double neighbor_error = off(best - 1);
+            if (neighbor_error >= error) break;
             --best;
-            error = other;
+            error = neighbor_error;
         }
         while (best + 1 < rings) {
-            const double other = off(best + 1);
-            if (other >= error) break;
+            const double neighbor_error = off(best + 1);
+            if (neighbor_error >= error) break;
             ++best;
-            error = other;
+            error = neighbor_error;
         }
         // 2. Test if it is near enough, and if it is close.
         error /= 1.0 + t * t;
         if (error < OFF_RAD + OFF_M * per_m) ring[n] = std::int16_t(best);
         if (r > double(NEAR_M)) {
             const double quarter = table.gap[best] / 4, close = std::min(quarter, CLOSE_RAD + CLOSE_M * per_m);
-            ++tried;
+            ++tested;
             chance += 0.5 * close / quarter;
             hits[best] += error <= close;
         }
     }
-    return {tried, chance};
+    return {tested, chance};
 }
 
 }  // namespace
 
 Directions directions_of(View2<const float> points) {
-    Directions seen(points.rows);
+    Directions directions(points.rows);
     for_ranges(points.rows, count_parts(points.rows, PART), [&](std::size_t, std::size_t begin, std::size_t end) {
         for (std::size_t start = begin; start < end; start += BLOCK) {
-            look_at_block(points[start], std::min(BLOCK, end - start), &seen.azimuth[start], &seen.slope[start],
-                          &seen.range_m[start]);
+            directions_of_block(points[start], std::min(BLOCK, end - start), &directions.azimuth[start], &directions.slope[start],
+                          &directions.range_m[start]);
         }
     });
-    return seen;
+    return directions;
 }
 
 Elevations elevations_of(View2<const float> points, const std::vector<std::uint32_t>& rows) {
-    Elevations seen{std::vector<float>(rows.size()), std::vector<float>(rows.size())};
+    Elevations directions{std::vector<float>(rows.size()), std::vector<float>(rows.size())};
     float xyz[3 * BLOCK], azimuth[BLOCK];
     for (std::size_t start = 0; start < rows.size(); start += BLOCK) {
         const std::size_t size = std::min(BLOCK, rows.size() - start);
         for (std::size_t k = 0; k < size; ++k) std::copy_n(points[rows[start + k]], 3, xyz + 3 * k);
-        look_at_block(xyz, size, azimuth, &seen.slope[start], &seen.range_m[start]);
+        directions_of_block(xyz, size, azimuth, &directions.slope[start], &directions.range_m[start]);
     }
-    return seen;
+    return directions;
 }
 
 BeamTable::BeamTable(std::vector<double> elevation_, std::vector<double> origin_m_, int columns_)
@@ -150,10 +150,10 @@ BeamMatch match_beams(View1<const float> slope, View1<const float> range_m, cons
                                    &match.ring[start], hits[part].data());
         }
     });
-    std::int64_t tried = 0, close = 0;
+    std::int64_t tested = 0, close = 0;
     double chance = 0.0;
     for (const auto& [of_chunk, by_chance] : found) {
-        tried += of_chunk;
+        tested += of_chunk;
         chance += by_chance;
     }
     for (const auto& of_part : hits) {
@@ -162,8 +162,8 @@ BeamMatch match_beams(View1<const float> slope, View1<const float> range_m, cons
             close += of_part[k];
         }
     }
-    if (tried > 0 && chance < double(tried)) {
-        match.excess = std::max(0.0, (double(close) - chance) / (double(tried) - chance));
+    if (tested > 0 && chance < double(tested)) {
+        match.excess = std::max(0.0, (double(close) - chance) / (double(tested) - chance));
     }
     return match;
 }

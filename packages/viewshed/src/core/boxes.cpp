@@ -19,7 +19,7 @@ constexpr double PER_RAD = COLUMNS / (2 * std::numbers::pi);
 constexpr float NOISE_M = 0.1f;
 
 // Lower bound of a direction component, so that its inverse is finite.
-constexpr float LEAST_PART = 1e-12f;
+constexpr float MIN_COMPONENT = 1e-12f;
 
 // Upper bound of the range in a box.
 constexpr float FARTHEST_M = 1e30f;
@@ -34,7 +34,7 @@ std::size_t column_of(double azimuth) {
 }
 
 // Return the inverse of a direction component; large but finite near 0.
-INLINE float inverse(float part) { return 1.0f / (std::fabs(part) < LEAST_PART ? LEAST_PART : part); }
+INLINE float inverse(float part) { return 1.0f / (std::fabs(part) < MIN_COMPONENT ? MIN_COMPONENT : part); }
 
 // Clip the range interval of a beam to a slab of ±half around 0 (slab method). The beam starts at `from` and takes
 // `per_part` meters of range per meter across the slab.
@@ -90,23 +90,23 @@ BeamsByAzimuth::BeamsByAzimuth(View1<const float> azimuth, View1<const float> sl
 std::int32_t BeamsByAzimuth::count_one(const float* box, float sensor_height_m, bool leave_out_own) const {
     // Columns that the box's corners span, plus one on either side; all columns if it contains the sensor.
     const double c = std::cos(double(box[6])), s = std::sin(double(box[6])), middle = std::atan2(box[1], box[0]);
-    double least = 0.0, most = 0.0;
+    double min_offset = 0.0, max_offset = 0.0;
     for (const double along : {-0.5, 0.5}) {
         for (const double across : {-0.5, 0.5}) {
             const double x = box[0] + along * box[3] * c - across * box[4] * s;
             const double y = box[1] + along * box[3] * s + across * box[4] * c;
             const double away = std::remainder(std::atan2(y, x) - middle, 2 * std::numbers::pi);
-            least = std::min(least, away);
-            most = std::max(most, away);
+            min_offset = std::min(min_offset, away);
+            max_offset = std::max(max_offset, away);
         }
     }
     const bool is_around = std::fabs(box[0] * c + box[1] * s) <= 0.5 * box[3] &&
                            std::fabs(box[1] * c - box[0] * s) <= 0.5 * box[4];
-    const std::size_t span = std::size_t((most - least) * PER_RAD) + 4;
+    const std::size_t span = std::size_t((max_offset - min_offset) * PER_RAD) + 4;
     const SeenBox seen{-(box[0] * float(c) + box[1] * float(s)), box[0] * float(s) - box[1] * float(c),
                        sensor_height_m - box[2], 0.5f * box[3], 0.5f * box[4], 0.5f * box[5], float(c), float(s)};
     if (is_around || span >= COLUMNS) return count_within(0, first_[COLUMNS], seen, leave_out_own);
-    const std::size_t begin = (column_of(middle + least) + COLUMNS - 1) % COLUMNS, end = begin + span;
+    const std::size_t begin = (column_of(middle + min_offset) + COLUMNS - 1) % COLUMNS, end = begin + span;
     if (end <= COLUMNS) return count_within(first_[begin], first_[end], seen, leave_out_own);
     return count_within(first_[begin], first_[COLUMNS], seen, leave_out_own) +
            count_within(0, first_[end - COLUMNS], seen, leave_out_own);

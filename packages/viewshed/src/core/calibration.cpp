@@ -21,26 +21,26 @@ static_assert(std::size(MEAN) == SHOWN_FEATURES && std::size(SCALE) == SHOWN_FEA
 static_assert(std::size(FIRST) == SHOWN_FEATURES * UNITS && std::size(SECOND) == UNITS);
 
 // Sweep features are clipped sooner than cell features: the fit saw few places, but many cells in each.
-constexpr float MOST_SWEEP_DEVIATIONS = 2.0f;
+constexpr float MAX_SWEEP_DEVIATIONS = 2.0f;
 
 // Added to the relief in meters: flatter ground makes no difference.
-constexpr double LEAST_RELIEF_M = 0.1;
+constexpr double MIN_RELIEF_M = 0.1;
 
 // Half widths in cells of the box filter, which is applied twice.
 constexpr std::size_t NEAR_CELLS = 2, WIDE_CELLS = 6;
 
 // Limits of the range features: smaller shares and farther ranges carry no more information.
-constexpr float LEAST_SHARE = 0.05f, FARTHEST_M = 200.0f, LEAST_RANGE_M = 0.5f;
+constexpr float MIN_SHARE = 0.05f, FARTHEST_M = 200.0f, MIN_RANGE_M = 0.5f;
 
 // Offset that keeps logits of 0 and 1 finite.
-constexpr float LEAST_PROB = 0.01f;
+constexpr float PROB_OFFSET = 0.01f;
 
 // Fewest cells for which a part pays for its thread.
 constexpr std::size_t PART = 8192;
 
 INLINE float logit_of(float prob) {
     const float p = prob < 1.0f ? (prob > 0.0f ? prob : 0.0f) : 1.0f;
-    return log2_of((p + LEAST_PROB) / (1.0f + LEAST_PROB - p));
+    return log2_of((p + PROB_OFFSET) / (1.0f + PROB_OFFSET - p));
 }
 
 // Write means (columns,) over 2 · half + 1 neighbors of a row; padded (columns + 2 · half,) repeats its ends.
@@ -54,31 +54,31 @@ MULTIVERSION void average_row(const float* __restrict padded, std::size_t column
 }
 
 // Write means of columns from their sums, then add the entering row to the sums and subtract the leaving one.
-MULTIVERSION void move_sums(const float* __restrict come, const float* __restrict go, std::size_t columns, float share,
+MULTIVERSION void move_sums(const float* __restrict entering, const float* __restrict leaving, std::size_t columns, float share,
                             double* __restrict sums, float* __restrict means) {
     for (std::size_t c = 0; c < columns; ++c) means[c] = float(sums[c]) * share;
-    for (std::size_t c = 0; c < columns; ++c) sums[c] += double(come[c]) - double(go[c]);
+    for (std::size_t c = 0; c < columns; ++c) sums[c] += double(entering[c]) - double(leaving[c]);
 }
 
 // Return values (rows, columns) averaged over squares, twice.
 Buffer<float> averaged(View2<const float> values, std::size_t half) {
-    Buffer<float> means(values.size()), between(values.size());
+    Buffer<float> means(values.size()), rows_averaged(values.size());
     const std::size_t rows = values.rows, columns = values.columns;
     const float share = 1.0f / float(2 * half + 1);
     const std::size_t parts = count_parts(values.size(), PART);
     View2<const float> from = values;
-    for (int time = 0; time < 2; ++time) {
+    for (int pass = 0; pass < 2; ++pass) {
         for_ranges(rows, parts, [&](std::size_t, std::size_t begin, std::size_t end) {
             Buffer<float> padded(columns + 2 * half);
             for (std::size_t r = begin; r < end; ++r) {
                 std::fill_n(padded.data(), half, from(r, 0));
                 std::copy_n(from[r], columns, padded.data() + half);
                 std::fill_n(padded.data() + half + columns, half, from(r, columns - 1));
-                average_row(padded.data(), columns, half, &between[r * columns]);
+                average_row(padded.data(), columns, half, &rows_averaged[r * columns]);
             }
         });
         for_ranges(columns, parts, [&](std::size_t, std::size_t begin, std::size_t end) {
-            const auto row = [&](std::size_t r) { return &between[std::min(r, rows - 1) * columns + begin]; };
+            const auto row = [&](std::size_t r) { return &rows_averaged[std::min(r, rows - 1) * columns + begin]; };
             Buffer<double> sums(end - begin, 0.0);
             for (std::size_t k = 0; k <= 2 * half; ++k) {
                 const float* const own = row(k < half ? 0 : k - half);
@@ -143,9 +143,9 @@ MULTIVERSION void add(const float* __restrict a, const float* __restrict b, std:
 MULTIVERSION void write_shares(const float* __restrict limit_m, const float* __restrict cell_range_m, std::size_t size,
                                float* __restrict feature) {
     for (std::size_t n = 0; n < size; ++n) {
-        const float range_m = cell_range_m[n] > LEAST_RANGE_M ? cell_range_m[n] : LEAST_RANGE_M;
+        const float range_m = cell_range_m[n] > MIN_RANGE_M ? cell_range_m[n] : MIN_RANGE_M;
         const float share = limit_m[n] / range_m;
-        feature[n] = log2_of(share > LEAST_SHARE ? share : LEAST_SHARE);
+        feature[n] = log2_of(share > MIN_SHARE ? share : MIN_SHARE);
     }
 }
 
@@ -233,17 +233,17 @@ struct Description {
         double all[SUMS] = {};
         for (std::size_t n = 0; n < blocks * SUMS; ++n) all[n % SUMS] += sums[n];
         for (std::size_t k = 0; k < CELL_FEATURES; ++k) sweep[k] = float(all[k] / std::max(all[CELL_FEATURES], 1.0));
-        sweep[SWEEP_RELIEF] = log2_of(float(LEAST_RELIEF_M + relief_of(heights_m)));
+        sweep[SWEEP_RELIEF] = log2_of(float(MIN_RELIEF_M + relief_of(heights_m)));
     }
 
     float* of(std::size_t block) { return &cells[block * CELL_FEATURES * CELLS]; }
 };
 
 // Standardize and clip a feature.
-INLINE float standardized(float feature, std::size_t k, float most) {
+INLINE float standardized(float feature, std::size_t k, float limit) {
     const float value = (feature - MEAN[k]) * SCALE[k];
-    const float high = value < most ? value : most;
-    return high > -most ? high : -most;
+    const float high = value < limit ? value : limit;
+    return high > -limit ? high : -limit;
 }
 
 // Return the first layer's bias for a sweep: the sweep features contribute equally to all its cells.
@@ -251,7 +251,7 @@ std::array<float, UNITS> bias_of(const float* sweep) {
     std::array<float, UNITS> bias;
     std::copy_n(FIRST_BIAS, UNITS, bias.begin());
     for (std::size_t k = 0; k < SWEEP_FEATURES; ++k) {
-        const float value = standardized(sweep[k], CELL_FEATURES + k, MOST_SWEEP_DEVIATIONS);
+        const float value = standardized(sweep[k], CELL_FEATURES + k, MAX_SWEEP_DEVIATIONS);
         for (std::size_t u = 0; u < UNITS; ++u) bias[u] += value * FIRST[(CELL_FEATURES + k) * UNITS + u];
     }
     return bias;
@@ -283,8 +283,8 @@ MULTIVERSION void decide(const float* __restrict logit, const float* __restrict 
                          std::size_t size, float below, float* __restrict prob) {
     for (std::size_t n = 0; n < size; ++n) {
         const float low = logit[n] < 20.0f ? logit[n] : 20.0f, x = low > -20.0f ? low : -20.0f;
-        const float said = 1.0f / (1.0f + exp_of(-x));
-        const float claim = said > THRESHOLD ? said : THRESHOLD, denial = said < below ? said : below;
+        const float calibrated = 1.0f / (1.0f + exp_of(-x));
+        const float claim = calibrated > THRESHOLD ? calibrated : THRESHOLD, denial = calibrated < below ? calibrated : below;
         const bool is_silent = (counted[n] <= 0.0f) & (aimed[n] <= 0.0f);
         const float other = is_silent ? 0.0f : denial;
         prob[n] = counted[n] >= THRESHOLD ? claim : other;
@@ -295,23 +295,25 @@ MULTIVERSION void decide(const float* __restrict logit, const float* __restrict 
 
 void describe_cells(const CellWindows& windows, const CellEvidence& evidence, const LeveledReturns& returns,
                     View1<const float> table, View2<const float> heights_m, View2<float> feature) {
-    Description seen(Scene(windows, evidence, returns, table), heights_m);
+    Description description(Scene(windows, evidence, returns, table), heights_m);
     for (std::size_t k = 0; k < CELL_FEATURES; ++k) {
-        for (std::size_t n = 0; n < windows.cells(); ++n) feature(k, n) = seen.of(n / CELLS)[k * CELLS + n % CELLS];
+        for (std::size_t n = 0; n < windows.cells(); ++n) feature(k, n) = description.of(n / CELLS)[k * CELLS + n % CELLS];
     }
-    for (std::size_t k = 0; k < SWEEP_FEATURES; ++k) std::fill_n(feature[CELL_FEATURES + k], windows.cells(), seen.sweep[k]);
+    for (std::size_t k = 0; k < SWEEP_FEATURES; ++k) {
+        std::fill_n(feature[CELL_FEATURES + k], windows.cells(), description.sweep[k]);
+    }
 }
 
 void calibrate(const CellWindows& windows, const CellEvidence& evidence, const LeveledReturns& returns, View1<const float> table,
                View2<const float> heights_m, View1<float> prob) {
-    Description seen(Scene(windows, evidence, returns, table), heights_m);
-    const auto bias = bias_of(seen.sweep);
+    Description description(Scene(windows, evidence, returns, table), heights_m);
+    const auto bias = bias_of(description.sweep);
     const float below = std::nextafter(THRESHOLD, 0.0f);
-    for_ranges(seen.blocks, count_parts(windows.cells(), PART), [&](std::size_t, std::size_t begin, std::size_t end) {
+    for_ranges(description.blocks, count_parts(windows.cells(), PART), [&](std::size_t, std::size_t begin, std::size_t end) {
         float logit[CELLS];
         for (std::size_t block = begin; block < end; ++block) {
             const std::size_t at = block * CELLS, size = std::min(CELLS, windows.cells() - at);
-            run_network(seen.of(block), bias.data(), size, logit);
+            run_network(description.of(block), bias.data(), size, logit);
             decide(logit, evidence.visible_prob + at, evidence.aimed + at, size, below, &prob[at]);
         }
     });

@@ -16,7 +16,7 @@ constexpr double FORGET_S = 10.0, GONE_S = 0.5;
 
 // A surface is standing if it was seen for STANDS_S, in most sweeps that looked, and within the last MOMENT_S.
 constexpr double STANDS_S = 1.0, MOMENT_S = 0.35;
-constexpr float MOST_FREE = 0.05f, LEAST_OCCUPIED = 8.0f;
+constexpr float MAX_FREE_SHARE = 0.05f, MIN_OCCUPIED = 8.0f;
 
 // An object that covered a cell for T seconds is at most LONGEST_M long, so it moved at most LONGEST_M / T, clamped to
 // [SLOWEST_MPS, DRIVEN_MPS]. A speed SUDDEN times higher cannot be driving.
@@ -30,7 +30,7 @@ std::int64_t key_of(float x, float y) {
     return std::int64_t((std::uint64_t(u) << 32) + std::uint64_t(v));
 }
 
-bool is_near(Point3 p, float most_m) { return p.x * p.x + p.y * p.y < most_m * most_m; }
+bool is_near(Point3 p, float max_m) { return p.x * p.x + p.y * p.y < max_m * max_m; }
 
 // Return how implausible a speed is for driving: 0 up to `driven_mps`, 1 from SUDDEN times that on.
 float suddenness(float speed_mps, float driven_mps) {
@@ -62,8 +62,8 @@ void CellMemory::check(const SweepView& now, const Transform& now_from_memory, d
     // 1. Standing surfaces that the sweep looks through.
     for (const auto& [key, cell] : cells_) {
         const double stood_s = cell.last_s - cell.first_s;
-        const bool stands = stood_s >= STANDS_S && t_s - cell.last_s <= MOMENT_S && float(cell.occupied) >= LEAST_OCCUPIED &&
-                            float(cell.free) <= MOST_FREE * float(cell.occupied);
+        const bool stands = stood_s >= STANDS_S && t_s - cell.last_s <= MOMENT_S && float(cell.occupied) >= MIN_OCCUPIED &&
+                            float(cell.free) <= MAX_FREE_SHARE * float(cell.occupied);
         const Point3 p = now_from_memory(cell.point);
         if (!stands || !is_near(p, FARTHEST_M)) continue;
         if (!now.is_passed(p) && now.look_at(p) != Seen::FREE) continue;
@@ -96,8 +96,8 @@ void CellMemory::check(const SweepView& now, const Transform& now_from_memory, d
 
 void CellMemory::add(const SweepView& now, const Transform& memory_from_now, const Transform& now_from_memory, double t_s) {
     // 1. Update the known cells.
-    for (auto each = cells_.begin(); each != cells_.end();) {
-        Cell& cell = each->second;
+    for (auto entry = cells_.begin(); entry != cells_.end();) {
+        Cell& cell = entry->second;
         const Point3 p = now_from_memory(cell.point);
         const Seen seen = is_near(p, REMEMBERED_M) ? now.look_at(p) : Seen::UNKNOWN;
         if (seen == Seen::OCCUPIED) {
@@ -107,7 +107,7 @@ void CellMemory::add(const SweepView& now, const Transform& memory_from_now, con
         if (seen == Seen::FREE) ++cell.free;
         const double unseen_s = t_s - cell.last_s;
         const bool gone = unseen_s > FORGET_S || (seen == Seen::FREE && unseen_s > GONE_S) || !is_near(p, 2 * REMEMBERED_M);
-        each = gone ? cells_.erase(each) : std::next(each);
+        entry = gone ? cells_.erase(entry) : std::next(entry);
     }
     // 2. Add its own obstacles.
     for (const Point3 p : now.obstacles()) {

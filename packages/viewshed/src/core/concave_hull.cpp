@@ -10,13 +10,13 @@ namespace viewshed {
 namespace {
 
 // Largest side of the thinning lattice, in cells.
-constexpr double MOST_LATTICE = 1024.0;
+constexpr double MAX_LATTICE = 1024.0;
 
 // Points with a smaller sum of squares about their line count as collinear.
-constexpr double LEAST_SPREAD_M2 = 1e-4;
+constexpr double MIN_SPREAD_M2 = 1e-4;
 
 // Mean number of points per bucket.
-constexpr double POINTS_A_BUCKET = 4.0;
+constexpr double POINTS_PER_BUCKET = 4.0;
 
 double squared_distance(PlanePoint a, PlanePoint b) { return (a.x - b.x) * (a.x - b.x) + (a.y - b.y) * (a.y - b.y); }
 
@@ -78,7 +78,7 @@ public:
             high = {std::max(high.x, p.x), std::max(high.y, p.y)};
         }
         const double width = high.x - low_.x, height = high.y - low_.y;
-        side_ = std::sqrt(width * height * POINTS_A_BUCKET / double(points.size()));
+        side_ = std::sqrt(width * height * POINTS_PER_BUCKET / double(points.size()));
         side_ = std::max(side_, std::max(width, height) / 1000.0);
         columns_ = std::size_t(width / side_) + 1;
         rows_ = std::size_t(height / side_) + 1;
@@ -211,14 +211,14 @@ constexpr std::size_t NONE = std::numeric_limits<std::size_t>::max();
 
 // Return the index of the point to which a node's edge is bent: the nearest one that is nearer to it than to the two
 // adjacent edges and visible from its ends; NONE if there is none within the distance.
-std::size_t find_candidate(Buckets& buckets, Ring& ring, std::size_t node, double most2,
+std::size_t find_candidate(Buckets& buckets, Ring& ring, std::size_t node, double max2,
                            std::vector<std::pair<double, std::size_t>>& near) {
     const PlanePoint a = ring.at(ring.previous(node)), b = ring.at(node), c = ring.at(ring.next(node));
     const PlanePoint d = ring.at(ring.next(ring.next(node)));
     // Search ever wider strips along the edge.
     double beyond2 = -1.0;
     for (double within = buckets.side();; within *= 2.0) {
-        const double within2 = std::min(within * within, most2);
+        const double within2 = std::min(within * within, max2);
         near.clear();
         buckets.find_near(b, c, beyond2, std::sqrt(within2), within2, near);
         std::sort(near.begin(), near.end());
@@ -229,7 +229,7 @@ std::size_t find_candidate(Buckets& buckets, Ring& ring, std::size_t node, doubl
                 return place;
             }
         }
-        if (within2 >= most2) return NONE;
+        if (within2 >= max2) return NONE;
         beyond2 = within2;
     }
 }
@@ -248,11 +248,11 @@ std::vector<PlanePoint> thin_returns(View2<const float> points, View1<const floa
         high_y = std::max(high_y, points(n, 1));
     }
     const double spread_m = std::max(double(high_x) - low_x, double(high_y) - low_y);
-    const double cell_m = std::max(grid.cell_m, spread_m / (MOST_LATTICE - 2));
+    const double cell_m = std::max(grid.cell_m, spread_m / (MAX_LATTICE - 2));
     const double x0 = grid.x_m + std::floor((low_x - grid.x_m) / cell_m) * cell_m;
     const double y0 = grid.y_m + std::floor((low_y - grid.y_m) / cell_m) * cell_m;
     const double rows = std::floor((high_x - x0) / cell_m) + 1, columns = std::floor((high_y - y0) / cell_m) + 1;
-    require(rows >= 1 && rows <= MOST_LATTICE + 2 && columns >= 1 && columns <= MOST_LATTICE + 2,
+    require(rows >= 1 && rows <= MAX_LATTICE + 2 && columns >= 1 && columns <= MAX_LATTICE + 2,
             "returns must lie within 1e12 cells of the grid");
     // 2. Keep the farthest return of each cell; ties go to the greater x, then y.
     Buffer<std::int32_t> farthest(std::size_t(rows * columns), -1);
@@ -292,7 +292,7 @@ bool span_area(const std::vector<PlanePoint>& points) {
         yy += (p.y - y) * (p.y - y);
     }
     const double larger = 0.5 * (xx + yy) + std::hypot(0.5 * (xx - yy), xy);
-    return (xx * yy - xy * xy) / larger > LEAST_SPREAD_M2;
+    return (xx * yy - xy * xy) / larger > MIN_SPREAD_M2;
 }
 
 std::vector<PlanePoint> concave_hull(const std::vector<PlanePoint>& points, double concavity, double length_m) {
@@ -308,16 +308,16 @@ std::vector<PlanePoint> concave_hull(const std::vector<PlanePoint>& points, doub
     std::vector<std::size_t> queue(ring.size());
     for (std::size_t k = 0; k < queue.size(); ++k) queue[k] = k;
     std::vector<std::pair<double, std::size_t>> near;
-    for (std::size_t done = 0; done < queue.size(); ++done) {
-        const std::size_t node = queue[done];
+    for (std::size_t head = 0; head < queue.size(); ++head) {
+        const std::size_t node = queue[head];
         const PlanePoint b = ring.at(node), c = ring.at(ring.next(node));
         const double length2 = squared_distance(b, c);
         if (length2 < length_m * length_m) continue;
-        const double most2 = length2 / (concavity * concavity);
-        const std::size_t place = find_candidate(buckets, ring, node, most2, near);
+        const double max2 = length2 / (concavity * concavity);
+        const std::size_t place = find_candidate(buckets, ring, node, max2, near);
         if (place == NONE) continue;
         const PlanePoint p = buckets.at(place);
-        if (std::min(squared_distance(p, b), squared_distance(p, c)) > most2) continue;
+        if (std::min(squared_distance(p, b), squared_distance(p, c)) > max2) continue;
         buckets.take_out(place);
         queue.push_back(node);
         queue.push_back(ring.insert(node, p));

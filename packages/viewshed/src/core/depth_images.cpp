@@ -92,7 +92,7 @@ MULTIVERSION void merge_depths(Depth* depths, const Depth* other, std::size_t co
 // empty.
 void take_out_of_counts(const Pixels& pixels, View1<const bool> mask, View1<const bool> counted,
                         View1<std::uint8_t> counts) {
-    const auto take = [&](std::size_t n) {
+    const auto subtract = [&](std::size_t n) {
         if (!mask[n] || (counted.size > 0 && counted[n])) return;
         const std::int32_t column = read_once(pixels.column, n);
         if (column < 0) return;
@@ -106,9 +106,9 @@ void take_out_of_counts(const Pixels& pixels, View1<const bool> mask, View1<cons
         std::uint64_t eight;
         std::memcpy(&eight, mask.data + n, 8);
         if (eight == 0) continue;
-        for (std::size_t k = n; k < n + 8; ++k) take(k);
+        for (std::size_t k = n; k < n + 8; ++k) subtract(k);
     }
-    for (; n < mask.size; ++n) take(n);
+    for (; n < mask.size; ++n) subtract(n);
 }
 
 }  // namespace
@@ -128,20 +128,20 @@ DepthImages depth_images(const Pixels& pixels, const Returns& returns, float low
         sector[c] = std::uint8_t(std::min(std::size_t(float(c) * per_column), SHARE_SECTORS - 1));
     }
     const std::size_t count = returns.rows.size, parts = count_parts(count, PART);
-    std::vector<std::optional<Part>> made(parts);
+    std::vector<std::optional<Part>> part_results(parts);
     for_ranges(count, parts, [&](std::size_t k, std::size_t begin, std::size_t end) {
-        made[k].emplace(size);
-        measure_part(pixels, returns, sector.data(), low_m, steep_m, begin, end, *made[k]);
+        part_results[k].emplace(size);
+        measure_part(pixels, returns, sector.data(), low_m, steep_m, begin, end, *part_results[k]);
     });
 
     // 3. Merge the parts by minima and sums.
     for_ranges(size, count_parts(size, PART), [&](std::size_t, std::size_t begin, std::size_t end) {
         for (std::size_t k = 1; k < parts; ++k) {
-            merge_depths(made[0]->depths.data() + begin, made[k]->depths.data() + begin, end - begin);
+            merge_depths(part_results[0]->depths.data() + begin, part_results[k]->depths.data() + begin, end - begin);
         }
     });
-    DepthImages images{rings, columns, std::move(counts), std::move(made[0]->depths), {}, {}};
-    for (const auto& part : made) {
+    DepthImages images{rings, columns, std::move(counts), std::move(part_results[0]->depths), {}, {}};
+    for (const auto& part : part_results) {
         for (std::size_t h = 0; h < HISTOGRAMS; ++h) {
             for (std::size_t b = 0; b < REACH_BINS; ++b) images.meter_counts[b] += part->meters[h][b];
             for (std::size_t s = 0; s < SHARE_SECTORS; ++s) {

@@ -16,7 +16,7 @@ namespace {
 
 // Returns of hood and trunk: beyond this horizontal range, this far below the sensor, and above any ground.
 constexpr float NEAR_M = 1.2f, BELOW_M = 0.05f;
-constexpr int FEWEST = 40;
+constexpr int MIN_RETURNS = 40;
 
 // Required concentration of the doubled azimuths of these returns: they lie ahead and behind, not all around.
 constexpr double ALONG = 0.4;
@@ -31,7 +31,7 @@ constexpr int ROOF = 200;
 constexpr double WIDE_M = 0.3;
 
 // Largest share of equally near but higher returns: a wall rises above the sensor, a hood does not.
-constexpr double MOST_ABOVE = 0.2;
+constexpr double MAX_ABOVE = 0.2;
 
 // Headings within this angle of the sensor's x axis are set to 0.
 constexpr double ALIGNED = 20.0 * std::numbers::pi / 180.0;
@@ -121,7 +121,7 @@ double vehicle_heading(View2<const float> points, View2<const float> rotation) {
         cosine += double((x * x - y * y) / r2);
         sine += double(2.0f * x * y / r2);
     }
-    if (count < FEWEST || std::hypot(cosine, sine) < ALONG * count) return 0.0;
+    if (count < MIN_RETURNS || std::hypot(cosine, sine) < ALONG * count) return 0.0;
     const double heading = 0.5 * std::atan2(sine, cosine);
     if (std::fabs(heading) < ALIGNED) return 0.0;
     // 2. They must fill a box with that heading, at both ends or below a roof.
@@ -135,7 +135,7 @@ double vehicle_heading(View2<const float> points, View2<const float> rotation) {
     }
     const bool is_hood = near.roof >= ROOF && across2 >= WIDE_M * WIDE_M * count;
     const bool has_ends = is_hood || std::min(ahead, behind) >= BOTH_ENDS * count;
-    const bool is_vehicle = has_ends && ahead + behind >= INSIDE * count && near.above <= MOST_ABOVE * count;
+    const bool is_vehicle = has_ends && ahead + behind >= INSIDE * count && near.above <= MAX_ABOVE * count;
     return is_vehicle ? heading : 0.0;
 }
 

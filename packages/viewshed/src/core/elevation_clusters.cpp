@@ -23,13 +23,13 @@ constexpr double BIN = 0.01 * DEGREE, COARSE_BIN = 0.1 * DEGREE;
 // Half widths of the windows in fine bins: how far the elevations of a beam may scatter.
 constexpr std::array<int, 5> HALF_WIDTHS{1, 2, 4, 8, 16};
 
-constexpr double LEAST_IN_CLUSTER = 8.0;
+constexpr double MIN_CLUSTER_SIZE = 8.0;
 
 // Nearer returns are ignored; low robots see the ground from this horizontal range on.
 constexpr float NEAREST_M = 0.4f;
 
 // Margin in explained share by which clusters must be better than others.
-constexpr double CLEARLY = 0.01;
+constexpr double MARGIN = 0.01;
 
 // Sample sizes to score clusters, and to search their origin.
 constexpr std::size_t SAMPLE = 4096, FEW = 2048;
@@ -47,7 +47,7 @@ constexpr double SPLIT_GAP = 0.6;
 
 // ... and fewer than DOUBLE_SHARE of their sectors return more than DOUBLE times a full sector of one beam.
 constexpr double FULL_SECTOR = 0.95, DOUBLE = 1.3, DOUBLE_SHARE = 0.2;
-constexpr int MOST_PARTS = 3;
+constexpr int MAX_MERGES = 3;
 constexpr std::size_t SECTORS = 360;
 
 // Required share of returns at the clusters' elevations, in excess of chance.
@@ -142,23 +142,23 @@ std::vector<double> find_peaks(const std::vector<std::int32_t>& counts, int half
 }
 
 // Return the clusters at the best window width, scored on a sample; none if no width is sharp.
-std::optional<ElevationClusters> clusters_seen_from(Origin origin, const Directions& seen, const Elevations& few) {
-    const std::vector<std::int32_t> counts = count_elevations(seen.slope, seen.range_m, origin, BIN);
+std::optional<ElevationClusters> clusters_seen_from(Origin origin, const Directions& directions, const Elevations& few) {
+    const std::vector<std::int32_t> counts = count_elevations(directions.slope, directions.range_m, origin, BIN);
     std::optional<ElevationClusters> best;
     double best_share = SHARPNESS;
     for (const int half_width : HALF_WIDTHS) {
-        std::vector<double> elevation = find_peaks(counts, half_width, LEAST_IN_CLUSTER);
+        std::vector<double> elevation = find_peaks(counts, half_width, MIN_CLUSTER_SIZE);
         if (elevation.size() < FEWEST_RINGS || elevation.size() > MOST_RINGS) continue;
         std::vector<double> origin_m;
         for (const double e : elevation) origin_m.push_back(origin.height_m - origin.radius_m * std::tan(e));
         const BeamTable table(std::move(elevation), std::move(origin_m), 0);
         const double share = match_beams({few.slope.data(), few.slope.size()}, {few.range_m.data(), few.range_m.size()},
                                          table).excess;
-        if (share > best_share + (best ? CLEARLY : 0.0)) {
+        if (share > best_share + (best ? MARGIN : 0.0)) {
             best = ElevationClusters{table.elevation, table.origin_m, share};
             best_share = share;
         }
-        if (best_share > 1.0 - CLEARLY) break;
+        if (best_share > 1.0 - MARGIN) break;
     }
     return best;
 }
@@ -166,16 +166,16 @@ std::optional<ElevationClusters> clusters_seen_from(Origin origin, const Directi
 // Return the origin from which the elevations cluster most: its height, and its radius in meters. A beam that starts on
 // a circle of this radius meets the axis lower by radius · tan(elevation).
 Origin find_origin(View1<const float> slope, View1<const float> range_m) {
-    const auto gathered = [&](Origin origin) {
+    const auto concentration = [&](Origin origin) {
         std::int64_t squares = 0;
         for (const std::int64_t count : count_elevations(slope, range_m, origin, COARSE_BIN)) squares += count * count;
         return std::pair(squares, -std::abs(origin.height_m) - origin.radius_m);
     };
     const auto best_of = [&](const std::vector<Origin>& origins) {
         auto best = origins.front();
-        auto most = gathered(best);
+        auto most = concentration(best);
         for (std::size_t k = 1; k < origins.size(); ++k) {
-            const auto here = gathered(origins[k]);
+            const auto here = concentration(origins[k]);
             if (here > most) {
                 most = here;
                 best = origins[k];
@@ -206,14 +206,14 @@ Buffer<std::int32_t> count_sectors(View1<const std::int16_t> ring, View1<const f
 
 // Return the number of returns of one beam in a full sector: a quantile over non-empty sectors.
 double full_sector(const Buffer<std::int32_t>& counts) {
-    std::vector<std::int32_t> some;
-    std::copy_if(counts.data(), counts.data() + counts.size(), std::back_inserter(some),
+    std::vector<std::int32_t> nonempty;
+    std::copy_if(counts.data(), counts.data() + counts.size(), std::back_inserter(nonempty),
                  [](std::int32_t count) { return count > 0; });
-    if (some.empty()) return 0.0;
-    std::sort(some.begin(), some.end());
-    const double at = FULL_SECTOR * double(some.size() - 1);
+    if (nonempty.empty()) return 0.0;
+    std::sort(nonempty.begin(), nonempty.end());
+    const double at = FULL_SECTOR * double(nonempty.size() - 1);
     const auto below = std::size_t(at);
-    const double a = some[below], b = some[std::min(below + 1, some.size() - 1)], part = at - double(below);
+    const double a = nonempty[below], b = nonempty[std::min(below + 1, nonempty.size() - 1)], part = at - double(below);
     return part >= 0.5 ? b - (b - a) * (1.0 - part) : a + (b - a) * part;
 }
 
@@ -221,7 +221,7 @@ double full_sector(const Buffer<std::int32_t>& counts) {
 //
 // A beam that starts away from the origin appears at two elevations if it meets surfaces at two ranges. Two beams
 // return from the same sector; one beam returns from either of its clusters.
-bool join_split_beams(ElevationClusters& clusters, const Directions& seen) {
+bool join_split_beams(ElevationClusters& clusters, const Directions& directions) {
     const std::vector<double>& elevation = clusters.elevation;
     const std::size_t count = elevation.size();
     std::vector<double> gap(count - 1);
@@ -233,8 +233,8 @@ bool join_split_beams(ElevationClusters& clusters, const Directions& seen) {
     }
     if (close.empty()) return false;
     // 1. Count the returns of each cluster by sector, and of one beam in a full sector.
-    const BeamMatch match = match_beams(seen.slope, seen.range_m, BeamTable(elevation, clusters.origin_m, 0));
-    const Buffer<std::int32_t> counts = count_sectors(match.ring, seen.azimuth, count);
+    const BeamMatch match = match_beams(directions.slope, directions.range_m, BeamTable(elevation, clusters.origin_m, 0));
+    const Buffer<std::int32_t> counts = count_sectors(match.ring, directions.azimuth, count);
     const double full = full_sector(counts);
     // 2. Keep close pairs that do not return twice as much. Merge them from the closest on, each cluster at most once.
     std::erase_if(close, [&](std::size_t k) {
@@ -266,40 +266,40 @@ bool join_split_beams(ElevationClusters& clusters, const Directions& seen) {
         joined.elevation.push_back(mean[k]);
         joined.origin_m.push_back(clusters.origin_m[k]);
     }
-    const bool some = joined.elevation.size() < count;
+    const bool any_merged = joined.elevation.size() < count;
     clusters = std::move(joined);
-    return some;
+    return any_merged;
 }
 
 }  // namespace
 
-std::optional<ElevationClusters> find_clusters(const Directions& seen) {
-    if (seen.size() < FEWEST_RETURNS) return std::nullopt;
+std::optional<ElevationClusters> find_clusters(const Directions& directions) {
+    if (directions.size() < FEWEST_RETURNS) return std::nullopt;
     Elevations few;
-    for (const std::uint32_t row : random_rows(seen.size(), SAMPLE)) {
-        few.slope.push_back(seen.slope[row]);
-        few.range_m.push_back(seen.range_m[row]);
+    for (const std::uint32_t row : random_rows(directions.size(), SAMPLE)) {
+        few.slope.push_back(directions.slope[row]);
+        few.range_m.push_back(directions.range_m[row]);
     }
     // Most sensors' beams start at the origin. If clusters are not sharp there, search for another origin.
     constexpr Origin SENSOR{0.0, 0.0};
-    std::optional<ElevationClusters> best = clusters_seen_from(SENSOR, seen, few);
-    if (!best || best->sharpness < 1.0 - CLEARLY) {
+    std::optional<ElevationClusters> best = clusters_seen_from(SENSOR, directions, few);
+    if (!best || best->sharpness < 1.0 - MARGIN) {
         const Origin origin = find_origin({few.slope.data(), FEW}, {few.range_m.data(), FEW});
         if (origin != SENSOR) {
-            std::optional<ElevationClusters> other = clusters_seen_from(origin, seen, few);
+            std::optional<ElevationClusters> other = clusters_seen_from(origin, directions, few);
             if (other && (!best || other->sharpness > best->sharpness)) best = std::move(other);
         }
     }
     if (!best) return best;
-    for (int k = 0; k < MOST_PARTS && join_split_beams(*best, seen); ++k) {
+    for (int k = 0; k < MAX_MERGES && join_split_beams(*best, directions); ++k) {
     }
     return best;
 }
 
-std::optional<ClusteredRings> rings_by_clusters(const Directions& seen) {
-    std::optional<ElevationClusters> clusters = find_clusters(seen);
+std::optional<ClusteredRings> rings_by_clusters(const Directions& directions) {
+    std::optional<ElevationClusters> clusters = find_clusters(directions);
     if (!clusters) return std::nullopt;
-    BeamMatch match = match_beams(seen.slope, seen.range_m, BeamTable(clusters->elevation, clusters->origin_m, 0));
+    BeamMatch match = match_beams(directions.slope, directions.range_m, BeamTable(clusters->elevation, clusters->origin_m, 0));
     const std::size_t count = clusters->elevation.size();
     return ClusteredRings{{std::move(match.ring), count}, std::move(*clusters)};
 }

@@ -18,7 +18,7 @@ struct ElevationClusters {
 //
 // The scatter of a beam's returns is unknown: windows of several widths are tried, and the narrowest one is chosen
 // whose clusters explain about as many returns as those of any other.
-std::optional<ElevationClusters> find_clusters(const Directions& seen);
+std::optional<ElevationClusters> find_clusters(const Directions& directions);
 
 // Return rings by elevation clusters, from the lowest to the highest, without beams that have no returns; -1 far from
 // all.
@@ -26,6 +26,6 @@ struct ClusteredRings {
     Rings rings;
     ElevationClusters clusters;
 };
-std::optional<ClusteredRings> rings_by_clusters(const Directions& seen);
+std::optional<ClusteredRings> rings_by_clusters(const Directions& directions);
 
 }  // namespace viewshed

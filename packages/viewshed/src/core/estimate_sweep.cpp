@@ -177,11 +177,11 @@ SweepEstimate SweepEstimator::estimate(const SweepInput& given, const SensorMode
     const SensorModel* const model = identity.model;
     const auto ring = identity.ring();
     // 2. Level the sweep: range image, attitude, ground, points above it.
-    const std::size_t most_ring = ring && ring->size > 0 ? std::size_t(*std::max_element(ring->begin(), ring->end()) + 1) : 0;
+    const std::size_t ring_count = ring && ring->size > 0 ? std::size_t(*std::max_element(ring->begin(), ring->end()) + 1) : 0;
     const UnleveledSweep unleveled{
         sweep.points,
         ring,
-        model == nullptr ? most_ring : model->beams.rings(),
+        model == nullptr ? ring_count : model->beams.rings(),
         model == nullptr ? DEFAULT_COLUMNS : std::size_t(model->beams.columns),
         float(sweep.model == nullptr ? NULL_RANGE_M : std::max(NULL_RANGE_M, sweep.model->min_range_m)),
         float(sweep.model == nullptr ? MAX_RANGE_M : sweep.model->max_range_m),

@@ -35,7 +35,7 @@ constexpr std::size_t PART = 16384;
 Buffer<float> poisson_table(int min_returns) {
     const int top = min_returns + 10 * int(std::sqrt(double(min_returns))) + 10;
     Buffer<float> table(std::size_t(top) * STEPS + 1);
-    double most = 0.0;
+    double max_prob = 0.0;
     for (std::size_t k = 0; k < table.size(); ++k) {
         const double mean = double(k) / STEPS;
         double prob = mean >= min_returns ? 1.0 : 0.0;
@@ -47,8 +47,8 @@ Buffer<float> poisson_table(int min_returns) {
             }
             prob = std::clamp(1.0 - below * std::exp(-mean), 0.0, 1.0);
         }
-        most = std::max(most, prob);
-        table[k] = float(most);
+        max_prob = std::max(max_prob, prob);
+        table[k] = float(max_prob);
     }
     return table;
 }

@@ -17,21 +17,21 @@ constexpr float LARGEST_ANGLE = 5e-4f, ANGLE_OF_RING = 4e-3f;
 struct Tolerance {
     float angle, grain_m;
 };
-constexpr Tolerance USUAL{5e-5f, 1e-3f};
+constexpr Tolerance TOLERANCE{5e-5f, 1e-3f};
 
 // Stricter tolerance to decide if beams have several returns: with a moving sensor, a near and a far return of adjacent
 // beams point in nearly the same direction.
 constexpr Tolerance EXACT{2e-5f, 2e-4f};
 
 // Nearer returns are ignored: many sensors report zeros for beams without a return.
-constexpr float LEAST_M = 0.5f;
+constexpr float MIN_RANGE_M = 0.5f;
 
 // A sensor is multi-return if more than this share of the returns share a beam with another. It is tested in 16 sectors
 // of azimuth, each 1/1024 of a turn, and must hold in MIN_SECTORS of them: while a car turns, the first and the last
 // beams of a sweep point the same way with one return each. A sweep of up to FEW returns is tested as a whole; of a
 // larger sector only the first FEW returns.
-constexpr double LEAST_SHARE = 0.01;
-constexpr int SECTORS_OF_TURN = 1024, LOOKED_AT = 16, LEAST_SECTORS = 4;
+constexpr double MIN_SHARE = 0.01;
+constexpr int SECTORS_OF_TURN = 1024, TESTED_SECTORS = 16, MIN_SECTORS = 4;
 constexpr std::size_t FEW = 4096;
 
 struct Directions {
@@ -56,8 +56,8 @@ struct AimedReturns {
     const std::int16_t* ring;  // null if unknown
     Tolerance tolerance;
 
-    bool counts(std::size_t k) const { return at.range_m[k] >= LEAST_M; }
-    bool of_one_beam(std::size_t a, std::size_t b) const {
+    bool counts(std::size_t k) const { return at.range_m[k] >= MIN_RANGE_M; }
+    bool share_beam(std::size_t a, std::size_t b) const {
         const float nearer_m = std::min(at.range_m[a], at.range_m[b]);
         const float most = std::min(tolerance.angle + tolerance.grain_m / nearer_m, LARGEST_ANGLE);
         const float apart = std::fabs(at.azimuth[a] - at.azimuth[b]);
@@ -74,7 +74,7 @@ std::size_t count_shared(const AimedReturns& returns, std::vector<std::uint32_t>
     std::size_t shared = 0;
     for (std::size_t i = 0; i < some.size(); ++i) {
         for (std::size_t j = i + 1; j < some.size() && azimuth[some[j]] - azimuth[some[i]] <= LARGEST_ANGLE; ++j) {
-            if (!returns.of_one_beam(some[i], some[j])) continue;
+            if (!returns.share_beam(some[i], some[j])) continue;
             ++shared;
             break;
         }
@@ -87,21 +87,21 @@ bool has_several(const AimedReturns& returns) {
     const Buffer<float>& azimuth = returns.at.azimuth;
     const std::size_t count = azimuth.size();
     const bool is_small = count <= FEW;
-    constexpr int EVERY = SECTORS_OF_TURN / LOOKED_AT;
-    std::array<std::vector<std::uint32_t>, LOOKED_AT> some;
+    constexpr int EVERY = SECTORS_OF_TURN / TESTED_SECTORS;
+    std::array<std::vector<std::uint32_t>, TESTED_SECTORS> some;
     for (std::size_t k = 0; k < count; ++k) {
         if (!returns.counts(k)) continue;
         const int sector = is_small ? EVERY / 2 : int((azimuth[k] + PI) * (float(SECTORS_OF_TURN) / (2.0f * PI)));
         if (sector % EVERY != EVERY / 2 || some[std::size_t(sector / EVERY)].size() == FEW) continue;
         some[std::size_t(sector / EVERY)].push_back(std::uint32_t(k));
     }
-    std::size_t shared = 0, every = 0;
+    std::size_t shared = 0, total = 0;
     int sectors = 0;
     for (auto& of_sector : some) {
         const std::size_t here = count_shared(returns, of_sector);
-        shared += here, every += of_sector.size(), sectors += here > 0;
+        shared += here, total += of_sector.size(), sectors += here > 0;
     }
-    return double(shared) > LEAST_SHARE * double(every) && sectors >= (is_small ? 1 : LEAST_SECTORS);
+    return double(shared) > MIN_SHARE * double(total) && sectors >= (is_small ? 1 : MIN_SECTORS);
 }
 
 // Hash table of returns by direction cell. Cells are twice as wide as the tolerance, so that returns of a beam lie in
@@ -132,7 +132,7 @@ public:
                         *at = next_[*at];
                         continue;
                     }
-                    if (returns_.of_one_beam(k, *at)) body(*at);
+                    if (returns_.share_beam(k, *at)) body(*at);
                     at = &next_[*at];
                 }
             }
@@ -174,7 +174,7 @@ std::optional<Buffer<std::int32_t>> farthest_returns(View2<const float> points, 
     AimedReturns returns{at, ring ? ring->data : nullptr, EXACT};
     if (!has_several(returns)) return std::nullopt;
     // 2. Keep the farthest return of each beam, in the order of the rows.
-    returns.tolerance = USUAL;
+    returns.tolerance = TOLERANCE;
     std::vector<char> kept(count, 1);
     ByDirection seen(returns, kept);
     for (std::uint32_t k = 0; k < count; ++k) {

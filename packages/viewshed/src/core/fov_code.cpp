@@ -17,7 +17,7 @@ constexpr std::size_t GROUP = 8;
 constexpr std::size_t DECISIONS_PER_CELL = 4, MORE_DECISIONS = 4096;
 
 // 16-bit end marker of a code: a desynchronized decoder does not find it.
-constexpr std::uint32_t END = 0x5a3c;
+constexpr std::uint32_t END_MARKER = 0x5a3c;
 constexpr int END_BITS = 16;
 
 // Depth of a level: distance from the expected level, the highest for visible states (FREE 1, SURFACE 2), else the
@@ -299,7 +299,7 @@ std::vector<std::uint8_t> encode_view(const CodedCells& cells, SensorCell sensor
     ViewCoder<RangeEncoder> coder(encoder, count, sensor);
     if (!coder.code_symbols(symbols)) return {};
     if (cells.deviation.rows > 0 && !coder.code_deviations(deviations, symbols)) return {};
-    encoder.plain(END, END_BITS);
+    encoder.plain(END_MARKER, END_BITS);
     return encoder.finish();
 }
 
@@ -310,7 +310,7 @@ bool decode_view(View1<const std::uint8_t> code, SensorCell sensor, const LevelV
     ViewCoder<RangeDecoder> coder(decoder, count, sensor);
     if (!coder.code_symbols(symbols)) return false;
     if (view.std.rows > 0 && !coder.code_deviations(deviations, symbols)) return false;
-    if (decoder.plain(0, END_BITS) != END || !decoder.ended()) return false;
+    if (decoder.plain(0, END_BITS) != END_MARKER || !decoder.ended()) return false;
     for (std::size_t i = 0; i < count; ++i) split_symbols(symbols.row(i), count, values.prob, view.state[i], view.prob[i]);
     for (std::size_t i = 0; i < view.std.rows; ++i) look_up(deviations.row(i), count, values.std, view.std[i]);
     return true;

@@ -16,7 +16,7 @@ namespace {
 
 // Sensor height if neither the sweep nor its returns give one. Otherwise it is a quantile of the nodes' depths, of at
 // least FEWEST_NODES nodes and at most MOST_HEIGHT_M.
-constexpr double ASSUMED_HEIGHT_M = 1.8, MOST_HEIGHT_M = 10.0, LOWEST_SHARE = 0.95;
+constexpr double ASSUMED_HEIGHT_M = 1.8, MAX_HEIGHT_M = 10.0, LOWEST_SHARE = 0.95;
 constexpr std::size_t FEWEST_NODES = 6;
 
 // A plane with less support is no ground; then level ground is assumed at the lowest returns.
@@ -51,10 +51,10 @@ constexpr double FOLLOWED = 0.7, FOLLOWED_SLOPE = 0.25;
 
 // Without ground, these shares of slope and weight are carried on, with at most CARRIED_SLOPE off the carrier plane's
 // slope.
-constexpr float CARRIED_SHARE = 0.9f, CARRIED_SLOPE = 0.15f, CARRIED_WEIGHT = 0.8f, LEAST_WEIGHT = 0.05f;
+constexpr float CARRIED_SHARE = 0.9f, CARRIED_SLOPE = 0.15f, CARRIED_WEIGHT = 0.8f, MIN_WEIGHT = 0.05f;
 
 // Weight of a level that no other direction confirms.
-constexpr float ALONE_WEIGHT = 0.01f;
+constexpr float UNCONFIRMED_WEIGHT = 0.01f;
 
 // A beam that passes this far below accepted ground is inconsistent: it would have ended there.
 constexpr float BURIED_M = 0.3f;
@@ -156,9 +156,9 @@ public:
         : lows_(lows), n_(std::ptrdiff_t(lows.nodes)), node_m_(node_m), even_(lows.nodes * lows.nodes, false),
           slope_x_(lows.nodes * lows.nodes), slope_y_(lows.nodes * lows.nodes),
           count_(lows.nodes * lows.nodes, 0) {
-        const std::size_t some = lows.some.size();
-        for_ranges(some, count_parts(some, PART), [&](std::size_t, std::size_t begin, std::size_t end) {
-            fit(lows.some.data() + begin, end - begin);
+        const std::size_t count = lows.occupied.size();
+        for_ranges(count, count_parts(count, PART), [&](std::size_t, std::size_t begin, std::size_t end) {
+            fit(lows.occupied.data() + begin, end - begin);
         });
     }
 
@@ -243,7 +243,7 @@ public:
           carrier_z_(carrier[2]), carried_(std::size_t(n_ + 2) * std::size_t(n_ + 2)) {}
 
     // Run the walk. Attached nodes (n, n) are accepted whatever the step; unconfirmed ones (n, n) hardly weigh.
-    void walk(const bool* attached, const bool* alone);
+    void walk(const bool* attached, const bool* unconfirmed);
 
     Buffer<float> height_m;
     Buffer<bool> accepted;
@@ -261,8 +261,8 @@ private:
 
     INLINE Prediction predict(const Carried* here) const;
     INLINE Carried carry(const Prediction& near) const;
-    Carried visit(std::size_t at, const Prediction& near, const bool* attached, const bool* alone);
-    Kind kind_of(std::ptrdiff_t i, std::ptrdiff_t j, double step, double support, bool even, float a, float b);
+    Carried visit(std::size_t at, const Prediction& near, const bool* attached, const bool* unconfirmed);
+    Kind kind_of(std::ptrdiff_t i, std::ptrdiff_t j, double step, double support, bool is_even_node, float a, float b);
     bool agrees(std::ptrdiff_t i, std::ptrdiff_t j) const;
     bool is_buried(std::size_t at) const;
     bool meets(std::ptrdiff_t i, std::ptrdiff_t j, float a, float b) const;
@@ -296,23 +296,23 @@ Walk::Carried Walk::carry(const Prediction& near) const {
     const float steeper2 = steeper_x * steeper_x + steeper_y * steeper_y;
     float share = CARRIED_SHARE;
     if (steeper2 > CARRIED_SLOPE * CARRIED_SLOPE) share *= CARRIED_SLOPE / std::sqrt(steeper2);
-    const float weight = std::max(std::min(CARRIED_WEIGHT / 3.0f * near.weight, CARRIED_WEIGHT), LEAST_WEIGHT);
+    const float weight = std::max(std::min(CARRIED_WEIGHT / 3.0f * near.weight, CARRIED_WEIGHT), MIN_WEIGHT);
     const Carried state{near.z, (carrier_x_ + share * steeper_x) * node_m_, (carrier_y_ + share * steeper_y) * node_m_, 1.0f};
     return weight * state;
 }
 
-void Walk::walk(const bool* attached, const bool* alone) {
+void Walk::walk(const bool* attached, const bool* unconfirmed) {
     std::fill_n(accepted.data(), accepted.size(), false);
     std::fill_n(carried_.data(), carried_.size(), Carried{});
     // Stop after the last low point.
-    std::size_t left = lows_.some.size();
+    std::size_t left = lows_.occupied.size();
     for (std::size_t k = 0; left > 0; ++k) {
         const std::size_t at = lattice_.order[k];
         Carried* here = &carried_[lattice_.padded[k]];
         Prediction near = predict(here);
         if (k == 0) near = {carrier_z_, carrier_x_, carrier_y_, 0.0f, node_m_, 0.0f};
         if (has(lows_, at)) {
-            *here = visit(at, near, attached, alone);
+            *here = visit(at, near, attached, unconfirmed);
             --left;
         } else {
             *here = carry(near);
@@ -321,16 +321,18 @@ void Walk::walk(const bool* attached, const bool* alone) {
 }
 
 // Accept or refuse the low point of a node, and return the state to carry on.
-Walk::Carried Walk::visit(std::size_t at, const Prediction& near, const bool* attached, const bool* alone) {
+Walk::Carried Walk::visit(std::size_t at, const Prediction& near, const bool* attached, const bool* unconfirmed) {
     const auto i = std::ptrdiff_t(at) / n_, j = std::ptrdiff_t(at) % n_;
     // 1. Compute the step above the prediction, and classify the low point.
     const double dx = double(lows_.x_m[at]) - middle(i), dy = double(lows_.y_m[at]) - middle(j);
     const double low = double(lows_.z_m[at]), z = double(near.z);
     const double step = low - z - double(near.slope_x) * dx - double(near.slope_y) * dy;
-    const bool even = patches_.is_even(at);
+    const bool is_even_node = patches_.is_even(at);
     const float a = patches_.slope_x(at), b = patches_.slope_y(at);
-    Kind kind = even ? Kind::patch : Kind::below;
-    if (attached == nullptr || !attached[at]) kind = kind_of(i, j, step, std::min(double(near.weight) / 3.0, 1.0), even, a, b);
+    Kind kind = is_even_node ? Kind::patch : Kind::below;
+    if (attached == nullptr || !attached[at]) {
+        kind = kind_of(i, j, step, std::min(double(near.weight) / 3.0, 1.0), is_even_node, a, b);
+    }
     if (kind == Kind::refused) return carry(near);
     // 2. Take patches as they are, with their slope if it breaks with the prediction; follow small steps in part.
     double height, slope_x, slope_y;
@@ -340,7 +342,7 @@ Walk::Carried Walk::visit(std::size_t at, const Prediction& near, const bool* at
         height = z + FOLLOWED * step;
         slope_x = double(near.slope_x) + FOLLOWED_SLOPE * step * mx / length2;
         slope_y = double(near.slope_y) + FOLLOWED_SLOPE * step * my / length2;
-    } else if (even) {
+    } else if (is_even_node) {
         const bool breaks = kind == Kind::below || std::fabs(step) >= EVEN_STEP_M;
         height = low - double(a) * dx - double(b) * dy;
         slope_x = double(breaks ? a : 0.5f * (near.slope_x + a));
@@ -353,25 +355,25 @@ Walk::Carried Walk::visit(std::size_t at, const Prediction& near, const bool* at
     height_m[at] = float(height);
     accepted[at] = true;
     const Carried state{float(height), float(slope_x) * node_m_, float(slope_y) * node_m_, 1.0f};
-    return alone != nullptr && alone[at] ? ALONE_WEIGHT * state : state;
+    return unconfirmed != nullptr && unconfirmed[at] ? UNCONFIRMED_WEIGHT * state : state;
 }
 
 // Classify a low point at a step above the prediction.
-Walk::Kind Walk::kind_of(std::ptrdiff_t i, std::ptrdiff_t j, double step, double support, bool even, float a, float b) {
+Walk::Kind Walk::kind_of(std::ptrdiff_t i, std::ptrdiff_t j, double step, double support, bool is_even_node, float a, float b) {
     const auto at = std::size_t(i * n_ + j);
     if (!std::isfinite(step)) return Kind::refused;
     const bool flat = double(lows_.rise_m[at]) < double(float(FLAT_M));
-    const bool gentle = even && double(a * a + b * b) < EVEN_SLOPE * EVEN_SLOPE;
+    const bool gentle = is_even_node && double(a * a + b * b) < EVEN_SLOPE * EVEN_SLOPE;
     const double small = STEP_M + (flat ? FLAT_STEP * std::min(double(node_m_), FLAT_NODE_M) : 0.0) +
                          DOUBT_STEP_M * (1.0 - support);
     if (gentle && std::fabs(step) < EVEN_STEP_M) return Kind::patch;
     if (std::fabs(step) < small) return Kind::followed;
     if (step < 0.0) {
         // Only ground lies below ground.
-        const bool is_floor = even || (flat ? agrees(i, j) : step < -LOWER_M);
+        const bool is_floor = is_even_node || (flat ? agrees(i, j) : step < -LOWER_M);
         return is_floor && !is_buried(at) ? Kind::below : Kind::refused;
     }
-    const bool is_slope = even && patches_.area_m2(at) >= FACE_M2 && meets(i, j, a, b);
+    const bool is_slope = is_even_node && patches_.area_m2(at) >= FACE_M2 && meets(i, j, a, b);
     return is_slope ? Kind::patch : Kind::refused;
 }
 
@@ -420,7 +422,7 @@ bool Walk::meets(std::ptrdiff_t i, std::ptrdiff_t j, float a, float b) const {
 }
 
 // Check that the low point of one node continues that of another.
-INLINE bool goes_on(const Lows& lows, std::size_t from, std::size_t to) {
+INLINE bool continues_from(const Lows& lows, std::size_t from, std::size_t to) {
     const float dx = lows.x_m[to] - lows.x_m[from], dy = lows.y_m[to] - lows.y_m[from];
     return std::fabs(lows.z_m[to] - lows.z_m[from]) < BESIDE_M + BESIDE_SLOPE * std::sqrt(dx * dx + dy * dy);
 }
@@ -441,11 +443,11 @@ void attach(const Lows& lows, View1<bool> accepted) {
     const auto n = std::ptrdiff_t(lows.nodes);
     std::vector<std::size_t> found;
     Buffer<std::uint8_t> count(accepted.size);
-    for (const std::int32_t node : lows.some) {
+    for (const std::int32_t node : lows.occupied) {
         const auto at = std::size_t(node);
         if (accepted[at]) continue;
         int beside = 0;
-        for_beside(n, at, [&](std::size_t near) { beside += accepted[near] && goes_on(lows, near, at); });
+        for_beside(n, at, [&](std::size_t near) { beside += accepted[near] && continues_from(lows, near, at); });
         count[at] = std::uint8_t(beside);
         if (beside >= BESIDE_COUNT) found.push_back(at);
     }
@@ -453,22 +455,22 @@ void attach(const Lows& lows, View1<bool> accepted) {
         const std::size_t at = found[k];
         accepted[at] = true;
         for_beside(n, at, [&](std::size_t near) {
-            if (accepted[near] || !has(lows, near) || !goes_on(lows, at, near)) return;
+            if (accepted[near] || !has(lows, near) || !continues_from(lows, at, near)) return;
             if (++count[near] == BESIDE_COUNT) found.push_back(near);
         });
     }
 }
 
 // Return the depth below the sensor of the lowest 5 % of the nodes; the assumed height without any.
-double lowest_m(const Lows& lows) {
-    if (lows.some.size() < FEWEST_NODES) return ASSUMED_HEIGHT_M;
+double estimated_height_m(const Lows& lows) {
+    if (lows.occupied.size() < FEWEST_NODES) return ASSUMED_HEIGHT_M;
     std::vector<double> below;
-    for (const std::int32_t at : lows.some) below.push_back(-double(lows.z_m[std::size_t(at)]));
+    for (const std::int32_t at : lows.occupied) below.push_back(-double(lows.z_m[std::size_t(at)]));
     std::sort(below.begin(), below.end());
     const double place = LOWEST_SHARE * double(below.size() - 1);
     const auto k = std::size_t(place);
     const double above = below[std::min(k + 1, below.size() - 1)];
-    return std::clamp(below[k] + (above - below[k]) * (place - double(k)), MIN_HEIGHT_M, MOST_HEIGHT_M);
+    return std::clamp(below[k] + (above - below[k]) * (place - double(k)), MIN_HEIGHT_M, MAX_HEIGHT_M);
 }
 
 }  // namespace
@@ -480,24 +482,24 @@ FoundGround estimate_ground(const Lattice& lattice, const Lows& lows, double hei
     // Walk, attach low points that continue the ground, and walk again from there, ignoring levels of a single sector.
     Patches patches(lows, float(lattice.node_m));
     Walk walk(lattice, lows, patches, ground.carrier.plane);
-    Buffer<bool> alone(size);
+    Buffer<bool> unconfirmed(size);
     walk.walk(nullptr, nullptr);
     run_parts(2, [&](std::size_t part) {
         if (part == 0) {
-            find_unconfirmed_levels(lattice, walk.height_m, walk.accepted, ground.carrier.plane, alone);
+            find_unconfirmed_levels(lattice, walk.height_m, walk.accepted, ground.carrier.plane, unconfirmed);
         } else {
             std::copy_n(walk.accepted.data(), size, ground.seen.data());
             attach(lows, ground.seen);
         }
     });
-    walk.walk(ground.seen.data(), alone.data());
+    walk.walk(ground.seen.data(), unconfirmed.data());
     std::copy_n(walk.accepted.data(), size, ground.seen.data());
     fill_ground(lattice, walk.height_m, ground.seen, ground.carrier.plane, ground.heights_m, ground.std_m);
     // No plane, or one at the sensor's own height: no ground is seen.
     const bool is_known = std::isfinite(height_m);
     const bool is_own = double(ground.heights_m[(n / 2) * n + n / 2]) > -MIN_HEIGHT_M;
     if (ground.carrier.support < MIN_SUPPORT || (!is_known && is_own)) {
-        ground.level_m = -(is_known ? height_m : lowest_m(lows));
+        ground.level_m = -(is_known ? height_m : estimated_height_m(lows));
     }
     return ground;
 }

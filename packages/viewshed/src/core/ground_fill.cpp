@@ -139,10 +139,10 @@ MULTIVERSION bool confirms(const float* seen, int bins, int at, float range, flo
 }
 
 void find_unconfirmed(const Lattice& lattice, View1<const float> above, View1<const bool> accepted,
-                      const Profiles& profiles, View1<bool> alone) {
-    std::fill_n(alone.data, alone.size, false);
+                      const Profiles& profiles, View1<bool> unconfirmed) {
+    std::fill_n(unconfirmed.data, unconfirmed.size, false);
     for_marked(accepted, [&](std::size_t at) {
-        alone[at] = std::fabs(above[at]) > LEVEL_M &&
+        unconfirmed[at] = std::fabs(above[at]) > LEVEL_M &&
                     !confirms(profiles.seen.data(), int(profiles.bins), int(lattice.azimuth[at]),
                               lattice.range_nodes[at], above[at], float(lattice.node_m));
     });
@@ -219,35 +219,35 @@ MULTIVERSION void push(const Level& coarse, const Level& fine, float* scratch) {
 //
 // Each node uses two updated neighbors and two old ones. Nodes on a diagonal are independent, so diagonals are stored
 // as rows and vectorized one after the other.
-MULTIVERSION void smooth_diagonals(float* mean, const float* lacking, std::size_t n) {
-    const auto draw = [&](std::size_t d) {
+MULTIVERSION void smooth_diagonals(float* mean, const float* missing, std::size_t n) {
+    const auto relax = [&](std::size_t d) {
         const std::size_t begin = d > n - 2 ? d - (n - 2) : 1, end = std::min(n - 2, d - 1) + 1;
         float* here = mean + d * n;
-        const float *before = mean + (d - 1) * n, *after = mean + (d + 1) * n, *lack = lacking + d * n;
+        const float *before = mean + (d - 1) * n, *after = mean + (d + 1) * n, *lack = missing + d * n;
         for (std::size_t i = begin; i < end; ++i) {
             const float around = 0.25f * (before[i - 1] + after[i + 1] + before[i] + after[i]);
             here[i] += lack[i] * (around - here[i]);
         }
     };
-    for (std::size_t d = 2; d <= 2 * n - 4; ++d) draw(d);
-    for (std::size_t d = 2 * n - 4; d >= 2; --d) draw(d);
+    for (std::size_t d = 2; d <= 2 * n - 4; ++d) relax(d);
+    for (std::size_t d = 2 * n - 4; d >= 2; --d) relax(d);
 }
 
 void smooth(const Level& level, Buffer<float>& scratch) {
     const std::size_t n = level.n;
     if (n < 3) return;
     constexpr std::size_t BLOCK_ROWS = 16;  // block of rows whose diagonals stay in the L1 cache
-    float *mean = scratch.data(), *lacking = mean + 2 * n * n;
+    float *mean = scratch.data(), *missing = mean + 2 * n * n;
     for (std::size_t start = 0; start < n; start += BLOCK_ROWS) {
         const std::size_t end = std::min(start + BLOCK_ROWS, n);
         for (std::size_t j = 0; j < n; ++j) {
             for (std::size_t i = start; i < end; ++i) {
                 mean[(i + j) * n + i] = level.mean[i * n + j];
-                lacking[(i + j) * n + i] = 1.0f - level.weight[i * n + j];
+                missing[(i + j) * n + i] = 1.0f - level.weight[i * n + j];
             }
         }
     }
-    smooth_diagonals(mean, lacking, n);
+    smooth_diagonals(mean, missing, n);
     for (std::size_t start = 1; start < n - 1; start += BLOCK_ROWS) {
         const std::size_t end = std::min(start + BLOCK_ROWS, n - 1);
         for (std::size_t j = 1; j < n - 1; ++j) {
@@ -377,7 +377,7 @@ void fill_ground(const Lattice& lattice, View1<const float> walked_m, View1<cons
                  View1<float> heights_m, View1<float> std_m) {
     const std::size_t n = lattice.nodes, size = lattice.size();
     Buffer<float> weight(size), variance(size);
-    Buffer<bool> known(size), alone(size);
+    Buffer<bool> known(size), unconfirmed(size);
     // 1. Accepted heights above the base. The base counts just below the sensor, where no beam meets the ground.
     const OverBase over(lattice, walked_m, accepted, carrier);
     float nearest_m = std::numeric_limits<float>::infinity();
@@ -389,10 +389,10 @@ void fill_ground(const Lattice& lattice, View1<const float> walked_m, View1<cons
           reinterpret_cast<std::uint8_t*>(known.data()));
     // 2. The base also counts, weakly, at unconfirmed levels; their heights hold for their own nodes only.
     const Profiles profiles = find_profiles(lattice, over.above, over.base, known);
-    find_unconfirmed(lattice, over.above, accepted, profiles, alone);
+    find_unconfirmed(lattice, over.above, accepted, profiles, unconfirmed);
     std::copy_n(over.above.data(), size, heights_m.data);
     std::fill_n(variance.data(), size, SEEN_STD_M * SEEN_STD_M);
-    for_marked(alone, [&](std::size_t at) {
+    for_marked(unconfirmed, [&](std::size_t at) {
         weight[at] = UNCONFIRMED_WEIGHT;
         heights_m[at] = 0.0f;
         variance[at] = LEVEL_M * LEVEL_M;
@@ -411,7 +411,7 @@ void fill_ground(const Lattice& lattice, View1<const float> walked_m, View1<cons
     std::vector<float> confirmed;
     confirmed.reserve(size);
     for_marked(accepted, [&](std::size_t at) {
-        if (!alone[at]) {
+        if (!unconfirmed[at]) {
             confirmed.push_back(over.above[at]);
             return;
         }
@@ -423,9 +423,9 @@ void fill_ground(const Lattice& lattice, View1<const float> walked_m, View1<cons
 }
 
 void find_unconfirmed_levels(const Lattice& lattice, View1<const float> walked_m, View1<const bool> accepted,
-                             const Plane& carrier, View1<bool> alone) {
+                             const Plane& carrier, View1<bool> unconfirmed) {
     const OverBase over(lattice, walked_m, accepted, carrier);
-    find_unconfirmed(lattice, over.above, accepted, find_profiles(lattice, over.above, over.base, accepted), alone);
+    find_unconfirmed(lattice, over.above, accepted, find_profiles(lattice, over.above, over.base, accepted), unconfirmed);
 }
 
 }  // namespace viewshed

@@ -22,6 +22,6 @@ void fill_ground(const Lattice& lattice, View1<const float> walked_m, View1<cons
 
 // Mark accepted nodes (n, n) on a level that no other direction confirms.
 void find_unconfirmed_levels(const Lattice& lattice, View1<const float> walked_m, View1<const bool> accepted,
-                             const Plane& carrier, View1<bool> alone);
+                             const Plane& carrier, View1<bool> unconfirmed);
 
 }  // namespace viewshed

@@ -72,12 +72,12 @@ int sector_of(float x, float y) {
 
 // Return the low points within NEAR_M of the sensor. Weights fall with the number of nearer ones in a sector.
 Points3 near_points(const Lows& lows) {
-    Points3 near(lows.some.size());
+    Points3 near(lows.occupied.size());
     Buffer<float> square_m2(near.size);
     Buffer<std::uint8_t> sector(near.size);
     std::array<std::uint32_t, CARRIER_SECTORS + 1> begin{};
     std::size_t count = 0;
-    for (const std::int32_t node : lows.some) {
+    for (const std::int32_t node : lows.occupied) {
         const float x = lows.x_m[node], y = lows.y_m[node], d2 = x * x + y * y;
         if (!(d2 < NEAR_M * NEAR_M)) continue;
         near.x[count] = x;
@@ -111,20 +111,20 @@ Points3 near_points(const Lows& lows) {
 }
 
 // Random numbers in [0, 1) for the three points of each trial, ascending, with the position of each in the sequence.
-struct Draws {
+struct SortedNumbers {
     std::array<float, 3 * TRIALS> part;
     std::array<std::uint16_t, 3 * TRIALS> place;
 };
 
-const Draws& draws() {
-    static const Draws sorted = [] {
+const SortedNumbers& random_numbers() {
+    static const SortedNumbers sorted = [] {
         std::array<float, 3 * TRIALS> parts;
         std::uint32_t state = 12345;
         for (float& part : parts) {
             state = next(state);
             part = float(state >> 8) * 0x1p-24f;
         }
-        Draws made;
+        SortedNumbers made;
         std::iota(made.place.begin(), made.place.end(), std::uint16_t{0});
         std::sort(made.place.begin(), made.place.end(), [&](auto a, auto b) { return parts[a] < parts[b]; });
         for (std::size_t k = 0; k < parts.size(); ++k) made.part[k] = parts[made.place[k]];
@@ -134,19 +134,19 @@ const Draws& draws() {
 }
 
 // Sample the points of all trials by weight.
-std::array<std::uint32_t, 3 * TRIALS> draw_points(const Points3& points) {
-    std::array<std::uint32_t, 3 * TRIALS> drawn;
+std::array<std::uint32_t, 3 * TRIALS> sample_points(const Points3& points) {
+    std::array<std::uint32_t, 3 * TRIALS> sampled;
     Buffer<float> sums(points.size);
     std::partial_sum(points.weight.data(), points.weight.data() + points.size, sums.data());
     const std::size_t last = points.size - 1;
-    const Draws& sequence = draws();
+    const SortedNumbers& sequence = random_numbers();
     std::size_t at = 0;
-    for (std::size_t k = 0; k < drawn.size(); ++k) {
+    for (std::size_t k = 0; k < sampled.size(); ++k) {
         const float part = sequence.part[k] * sums[last];
         while (at < last && sums[at] < part) ++at;
-        drawn[sequence.place[k]] = std::uint32_t(at);
+        sampled[sequence.place[k]] = std::uint32_t(at);
     }
-    return drawn;
+    return sampled;
 }
 
 // Fit a plane through three points; false if they are degenerate or the plane cannot be ground.
@@ -183,10 +183,10 @@ double best_plane(const Points3& points, double height_m, Plane& best) {
     // 1. Generate planes that may be ground.
     std::array<float, TRIALS> a{}, b{}, c{}, score{};
     std::size_t planes = 0;
-    const auto drawn = draw_points(points);
+    const auto sampled = sample_points(points);
     for (int trial = 0; trial < TRIALS; ++trial) {
         Plane plane;
-        if (!plane_through(points, &drawn[std::size_t(3 * trial)], plane)) continue;
+        if (!plane_through(points, &sampled[std::size_t(3 * trial)], plane)) continue;
         const bool near = std::isfinite(height_m) ? std::fabs(double(plane[2]) + height_m) <= KNOWN_TO_M
                                                   : double(plane[2]) <= -MIN_HEIGHT_M;
         if (!near) continue;
@@ -198,33 +198,33 @@ double best_plane(const Points3& points, double height_m, Plane& best) {
 
     // 2. Score the planes on a subset of the points.
     const std::size_t stride = std::max<std::size_t>(points.size / SCORED_POINTS, 1);
-    Points3 some((points.size + stride - 1) / stride);
-    Buffer<float> tolerance(some.size);
+    Points3 subset((points.size + stride - 1) / stride);
+    Buffer<float> tolerance(subset.size);
     float total = 0.0f;
-    for (std::size_t k = 0; k < some.size; ++k) {
-        some.x[k] = points.x[k * stride];
-        some.y[k] = points.y[k * stride];
-        some.z[k] = points.z[k * stride];
-        some.weight[k] = points.weight[k * stride];
-        tolerance[k] = 0.10f + 0.006f * (std::fabs(some.x[k]) + std::fabs(some.y[k]));
-        total += some.weight[k];
+    for (std::size_t k = 0; k < subset.size; ++k) {
+        subset.x[k] = points.x[k * stride];
+        subset.y[k] = points.y[k * stride];
+        subset.z[k] = points.z[k * stride];
+        subset.weight[k] = points.weight[k * stride];
+        tolerance[k] = 0.10f + 0.006f * (std::fabs(subset.x[k]) + std::fabs(subset.y[k]));
+        total += subset.weight[k];
     }
     for (std::size_t l = 0; l < planes; l += LANES) {
-        score_planes(some.x.data(), some.y.data(), some.z.data(), some.weight.data(), tolerance.data(), some.size, &a[l],
-                     &b[l], &c[l], &score[l]);
+        score_planes(subset.x.data(), subset.y.data(), subset.z.data(), subset.weight.data(), tolerance.data(),
+                     subset.size, &a[l], &b[l], &c[l], &score[l]);
     }
 
     // 3. Prefer flatter planes among similar ones: roads are rarely steep.
-    double most = 0.0;
+    double max_score = 0.0;
     for (std::size_t l = 0; l < planes; ++l) {
         const double slope = double(std::sqrt(a[l] * a[l] + b[l] * b[l]));
         const double value = double(score[l]) - LEVEL_SHARE * slope * double(total);
-        if (value > most) {
-            most = value;
+        if (value > max_score) {
+            max_score = value;
             best = {a[l], b[l], c[l]};
         }
     }
-    return most;
+    return max_score;
 }
 
 // Solve m x = b (3 × 3) by Gaussian elimination with partial pivoting, in place.
@@ -340,17 +340,17 @@ FreePlane free_plane(View2<const float> points) {
         offset[planes++] = below;
     }
     // 2. Choose the plane with the most area on it, and little below.
-    double most = 0.0, most_on = 0.0;
+    double max_score = 0.0, most_on = 0.0;
     for (std::size_t l = 0; l < planes; l += LANES) {
-        float some[3][LANES];
-        for (int axis = 0; axis < 3; ++axis) std::copy_n(&normal[axis][l], LANES, some[axis]);
+        float subset[3][LANES];
+        for (int axis = 0; axis < 3; ++axis) std::copy_n(&normal[axis][l], LANES, subset[axis]);
         double on[LANES], below[LANES];
-        sum_areas(points.data, area.data(), tolerance.data(), count, some, &offset[l], on, below);
+        sum_areas(points.data, area.data(), tolerance.data(), count, subset, &offset[l], on, below);
         for (std::size_t k = 0; k < std::min(LANES, planes - l); ++k) {
-            if (on[k] - BELOW_AREA * below[k] > most) {
-                most = on[k] - BELOW_AREA * below[k];
+            if (on[k] - BELOW_AREA * below[k] > max_score) {
+                max_score = on[k] - BELOW_AREA * below[k];
                 most_on = on[k];
-                best.normal = {some[0][k], some[1][k], some[2][k]};
+                best.normal = {subset[0][k], subset[1][k], subset[2][k]};
             }
         }
     }

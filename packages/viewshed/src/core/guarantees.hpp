@@ -49,7 +49,7 @@ struct Attack {
     std::int32_t least;
     bool opens;
 
-    // Return how many beams (blocked ones if the attack opens, else others) must change in a cell of this margin.
+    // Return how many beams (blocked ones if the attack opens, else the others) must change at this margin; 0 if none.
     std::int32_t needed(std::int32_t margin) const {
         const std::int64_t apart = opens ? std::int64_t(least) - margin : std::int64_t(margin) - least + 1;
         return std::int32_t(std::clamp<std::int64_t>(apart, 0, INT32_MAX));

@@ -20,7 +20,7 @@ constexpr std::ptrdiff_t AROUND = 3;
 constexpr double AGREEING_SHARE = 0.75;
 
 // If a smaller share of all commonly seen nodes agrees, a pose is wrong, and nothing is carried over.
-constexpr double MOST = 0.5;
+constexpr double MIN_AGREEING_SHARE = 0.5;
 
 constexpr float NONE = std::numeric_limits<float>::infinity();
 
@@ -91,7 +91,7 @@ bool find_agreed(const SeenGround& now, View1<const float> moved_m, View1<const 
     const auto n = std::ptrdiff_t(now.heights_m.rows);
     const auto size = std::size_t(n * n);
     std::fill_n(taken.data, size, false);
-    const auto is_both = [&](std::size_t at) { return now.seen.data[at] && moved_std_m[at] < NONE; };
+    const auto is_common = [&](std::size_t at) { return now.seen.data[at] && moved_std_m[at] < NONE; };
     // Summed-area tables of common nodes, and of agreeing ones.
     Buffer<std::int32_t> both(std::size_t((n + 1) * (n + 1)), 0), agree(std::size_t((n + 1) * (n + 1)), 0);
     const auto corner = [n](std::ptrdiff_t i, std::ptrdiff_t j) { return std::size_t(i * (n + 1) + j); };
@@ -99,7 +99,7 @@ bool find_agreed(const SeenGround& now, View1<const float> moved_m, View1<const 
         std::int32_t row_both = 0, row_agree = 0;
         for (std::ptrdiff_t j = 0; j < n; ++j) {
             const auto at = std::size_t(i * n + j);
-            if (is_both(at)) {
+            if (is_common(at)) {
                 ++row_both;
                 const float doubt_m = 2.0f * (now.std_m.data[at] + moved_std_m[at]);
                 row_agree += std::fabs(moved_m[at] - now.heights_m.data[at]) <= AGREE_M + doubt_m;
@@ -108,7 +108,7 @@ bool find_agreed(const SeenGround& now, View1<const float> moved_m, View1<const 
             agree[corner(i + 1, j + 1)] = agree[corner(i, j + 1)] + row_agree;
         }
     }
-    if (double(agree[corner(n, n)]) < MOST * double(both[corner(n, n)])) return false;  // a pose is wrong
+    if (double(agree[corner(n, n)]) < MIN_AGREEING_SHARE * double(both[corner(n, n)])) return false;  // a pose is wrong
     // Common nodes are at distance 0, labeled by agreement; without any, all other nodes may be taken.
     Buffer<float> away(size, NONE);
     Buffer<bool> agreed(size, true);
@@ -116,7 +116,7 @@ bool find_agreed(const SeenGround& now, View1<const float> moved_m, View1<const 
         const std::ptrdiff_t top = std::max<std::ptrdiff_t>(i - AROUND, 0), bottom = std::min(i + AROUND + 1, n);
         for (std::ptrdiff_t j = 0; j < n; ++j) {
             const auto at = std::size_t(i * n + j);
-            if (!is_both(at)) continue;
+            if (!is_common(at)) continue;
             const std::ptrdiff_t left = std::max<std::ptrdiff_t>(j - AROUND, 0), right = std::min(j + AROUND + 1, n);
             const auto within = [&](const Buffer<std::int32_t>& sums) {
                 return double(sums[corner(bottom, right)] - sums[corner(top, right)] - sums[corner(bottom, left)] +

@@ -16,7 +16,7 @@ constexpr int GAP_ROWS = 40, GAP_COLUMNS = 8;
 constexpr float SIMILAR = 1.25f;
 
 // A gap in which something farther was seen is closed if it is narrower than this: that was seen from another position.
-constexpr double SEEN_THROUGH_M = 1.0;
+constexpr double MAX_GAP_M = 1.0;
 
 // Obstacle map around the sensor. An obstacle is confirmed if two sweeps saw it in the same or neighboring cells.
 constexpr float MAP_CELL_M = 0.5f;
@@ -29,7 +29,7 @@ constexpr std::int32_t NOBODY = 0, SEVERAL = -1;
 constexpr float NEAREST_M = 1.0f;
 
 // A line of sight is open if more than this share of a target is visible past the remembered obstacles.
-constexpr float LEAST_VIEW = 0.05f;
+constexpr float MIN_VIEW_SHARE = 0.05f;
 
 // Short names of the header's constants.
 constexpr std::size_t ROWS = SLOPE_ROWS, COLUMNS = AZIMUTHS;
@@ -126,10 +126,10 @@ void fill_gaps(float* line, int size, std::size_t step, int gap, float narrow) {
 void close_gaps(View2<float> image) {
     constexpr double ROW_STEP = (MOST_SLOPE - LEAST_SLOPE) / ROWS, COLUMN_STEP = 2 * std::numbers::pi / COLUMNS;
     for (std::size_t c = 0; c < COLUMNS; ++c) {
-        fill_gaps(image[0] + c, int(ROWS), COLUMNS, GAP_ROWS, float(SEEN_THROUGH_M / ROW_STEP));
+        fill_gaps(image[0] + c, int(ROWS), COLUMNS, GAP_ROWS, float(MAX_GAP_M / ROW_STEP));
     }
     for (std::size_t r = 0; r < ROWS; ++r) {
-        fill_gaps(image[r], int(COLUMNS), 1, GAP_COLUMNS, float(SEEN_THROUGH_M / COLUMN_STEP));
+        fill_gaps(image[r], int(COLUMNS), 1, GAP_COLUMNS, float(MAX_GAP_M / COLUMN_STEP));
     }
 }
 
@@ -186,7 +186,7 @@ void confirm_cells(View2<const bool> seen, View2<const float> earlier_from_now, 
             const float v = (to_y[0] * x + to_y[1] * y + to_y[2] - origin_m[1]) * per_m;
             const bool there = u >= 0 && v >= 0 && u < side && v < side && seen(std::size_t(u), std::size_t(v));
             const std::size_t n = i * cells + j;
-            confirmed[n] = there && open[n] > LEAST_VIEW * whole[n];
+            confirmed[n] = there && open[n] > MIN_VIEW_SHARE * whole[n];
         }
     }
 }

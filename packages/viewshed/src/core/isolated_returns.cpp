@@ -29,7 +29,7 @@ constexpr int WINDOW_PIXELS = (2 * WINDOW_RINGS + 1) * (2 * WINDOW_COLUMNS + 1) 
 // random returns may be confirmed by chance, and all others are clutter.
 constexpr double CLUTTERED_SHARE = 0.02, CHANCE = 0.01;
 constexpr std::size_t FEWEST_RETURNS = 256;
-constexpr int LEAST_CONFIRMATIONS = 2;
+constexpr int MIN_CONFIRMATIONS = 2;
 
 // About this share of random returns is isolated.
 constexpr double ISOLATED_OF_RANDOM = 0.6;
@@ -98,15 +98,15 @@ int count_confirmations(View2<const float> nearest_m2, int r, int c, float d2) {
 }
 
 // Return the smallest number of confirmations that a share CHANCE of random returns reaches at most, given the mean.
-int least_confirmations(double mean) {
+int required_confirmations(double mean) {
     double term = 1.0, sum = 0.0;
-    int least = 1;
+    int required = 1;
     for (int number = 1; number <= WINDOW_PIXELS + 1; ++number) {
         sum += term;  // P(N < number) / exp(-mean)
         term *= mean / number;
-        least += 1.0 - std::exp(-mean) * sum > CHANCE;
+        required += 1.0 - std::exp(-mean) * sum > CHANCE;
     }
-    return std::max(least, LEAST_CONFIRMATIONS);
+    return std::max(required, MIN_CONFIRMATIONS);
 }
 
 }  // namespace
@@ -157,17 +157,17 @@ void find_clutter(View1<const std::int16_t> ring, View1<const std::int32_t> colu
         isolated_in[bin[n]] += isolated[n];
     }
     // 2. Compute the mean number of random returns of similar range in a window, and the confirmations required.
-    std::array<int, RANGE_BINS> least;
+    std::array<int, RANGE_BINS> required;
     for (int k = 0; k < RANGE_BINS; ++k) {
         const double before = k > 0 ? isolated_in[k - 1] : 0.0, after = k + 1 < RANGE_BINS ? isolated_in[k + 1] : 0.0;
         const double similar = isolated_in[k] + 0.5 * (before + after);
-        least[k] = least_confirmations(similar * WINDOW_PIXELS / (ISOLATED_OF_RANDOM * double(nearest_m2.size())));
+        required[k] = required_confirmations(similar * WINDOW_PIXELS / (ISOLATED_OF_RANDOM * double(nearest_m2.size())));
     }
     // 3. Count the confirmations of each return.
     for_ranges(ring.size, count_parts(ring.size, PART), [&](std::size_t, std::size_t begin, std::size_t end) {
         for (std::size_t n = begin; n < end; ++n) {
             clutter[n] = column[n] >= 0 && squared_m2[n] >= 0.0f &&
-                         count_confirmations(nearest_m2, ring[n], column[n], squared_m2[n]) < least[bin[n]];
+                         count_confirmations(nearest_m2, ring[n], column[n], squared_m2[n]) < required[bin[n]];
         }
     });
 }

@@ -25,7 +25,7 @@ struct Rule {
 
 // Write the node and z of each point of a block; -1 for points that are no candidates for ground: outside the lattice
 // or the range limits, isolated, or on hood or roof of the vehicle. Branch-free, so that it vectorizes.
-MULTIVERSION void place_block(const float* points, const std::uint8_t* isolated, std::size_t count, const Rule& rule,
+MULTIVERSION void candidates_of_block(const float* points, const std::uint8_t* isolated, std::size_t count, const Rule& rule,
                               std::int32_t* nodes, float* heights) {
     const float xx = rule.rotation[0], xy = rule.rotation[1], xz = rule.rotation[2];
     const float yx = rule.rotation[3], yy = rule.rotation[4], yz = rule.rotation[5];
@@ -124,7 +124,8 @@ Lows lowest_returns(View2<const float> points, View1<const bool> isolated, View2
     const auto* left_out = reinterpret_cast<const std::uint8_t*>(isolated.data);  // bytes vectorize, bools do not
     for_ranges(count, parts, [&](std::size_t, std::size_t begin, std::size_t end) {
         for (std::size_t start = begin; start < end; start += BLOCK) {
-            place_block(points[start], left_out + start, std::min(BLOCK, end - start), rule, &node[start], &height[start]);
+            const std::size_t size = std::min(BLOCK, end - start);
+            candidates_of_block(points[start], left_out + start, size, rule, &node[start], &height[start]);
         }
     });
 
@@ -151,13 +152,13 @@ Lows lowest_returns(View2<const float> points, View1<const bool> isolated, View2
             lows.rise_m[at] = heights[at - begin].highest - here.height[rank];
         }
     });
-    lows.some.resize(nodes * nodes);
-    std::size_t some = 0;
+    lows.occupied.resize(nodes * nodes);
+    std::size_t count_occupied = 0;
     for (std::size_t at = 0; at < nodes * nodes; ++at) {
-        lows.some[some] = std::int32_t(at);
-        some += lows.z_m[at] < NONE;
+        lows.occupied[count_occupied] = std::int32_t(at);
+        count_occupied += lows.z_m[at] < NONE;
     }
-    lows.some.resize(some);
+    lows.occupied.resize(count_occupied);
     return lows;
 }
 

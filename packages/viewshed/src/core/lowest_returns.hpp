@@ -16,7 +16,7 @@ struct Lows {
     std::size_t nodes;             // n
     Buffer<float> x_m, y_m, z_m;   // z is +inf for nodes without returns; x and y are 0 there
     Buffer<float> rise_m;          // height from it to the highest return of the node
-    std::vector<std::int32_t> some;  // nodes with returns, ascending
+    std::vector<std::int32_t> occupied;  // nodes with returns, ascending
 };
 
 // Return the second-lowest of points (N, 3) in each node after the rotation (3, 3), so that one return below the ground

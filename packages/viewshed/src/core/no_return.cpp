@@ -36,7 +36,7 @@ constexpr double PRIOR_BEAMS = 20;
 constexpr double REACH_SHARE = 0.001;
 
 // Depths are limited to this multiple of the farthest range: the sweep shows no evidence that its sensor sees farther.
-constexpr float SHOWN_TIMES = 1.5f;
+constexpr float MAX_REACH_RATIO = 1.5f;
 
 // Approximate number of groups of missing beams per turn.
 constexpr std::size_t GROUPS = 256;
@@ -45,7 +45,7 @@ constexpr std::size_t GROUPS = 256;
 constexpr std::size_t POOLED = 128;
 
 // Range limits of log2 of meters; LOG_NONE also stands for a missing range.
-constexpr float LOG_NONE = 8.0f, LOG_LEAST = -1.0f;
+constexpr float LOG_NONE = 8.0f, LOG_MIN = -1.0f;
 
 // Fewest pixels for which a part pays for its thread.
 constexpr std::size_t PART = 8192;
@@ -58,7 +58,7 @@ struct alignas(Lanes) GroupsAtOnce {
 // Network parameters: MEAN and SCALE of features, weights and bias of three layers, by `tools/fit_no_return.py fit`.
 #include "no_return_network.inc"
 
-constexpr std::size_t MOST_UNITS = std::max(std::size(FIRST_BIAS), std::size(SECOND_BIAS));
+constexpr std::size_t MAX_UNITS = std::max(std::size(FIRST_BIAS), std::size(SECOND_BIAS));
 
 // Probabilities that a beam exceeds its early, likely and late depth.
 constexpr std::array<float, 3> SURVIVED{0.8f, 0.5f, 0.2f};
@@ -86,7 +86,7 @@ constexpr std::array<float, 5> LAPLACE{-1.609f, -0.511f, 0.0f, 0.511f, 1.609f};
 
 INLINE float log_m(float meters) {
     if (!(meters < NONE)) return LOG_NONE;
-    return std::clamp(log2_of(meters > 0.25f ? meters : 0.25f), LOG_LEAST, LOG_NONE);
+    return std::clamp(log2_of(meters > 0.25f ? meters : 0.25f), LOG_MIN, LOG_NONE);
 }
 
 // A group of adjacent missing beams in one ring, and what surrounds its middle.
@@ -179,7 +179,7 @@ float bound_of(const DepthImages& images, std::size_t r, std::int32_t c) {
 class PooledImage {
 public:
     PooledImage(const DepthImages& images, const Buffer<bool>& silent)
-        : rings(images.rings), before_((images.rings + 1) * (POOLED + 1)), farthest(POOLED, LOG_LEAST) {
+        : rings(images.rings), before_((images.rings + 1) * (POOLED + 1)), farthest(POOLED, LOG_MIN) {
         const std::size_t columns = images.columns;
         for (std::size_t c = 0; c <= POOLED; ++c) before_[c] = Four{};
         for (std::size_t r = 0; r < rings; ++r) {
@@ -214,7 +214,7 @@ public:
     }
 
     float farthest_around(std::size_t column, std::size_t wide) const {
-        float most = LOG_LEAST;
+        float most = LOG_MIN;
         for (std::size_t k = column + POOLED - wide; k <= column + POOLED + wide; ++k) {
             most = std::max(most, farthest[k % POOLED]);
         }
@@ -324,15 +324,15 @@ public:
         const std::size_t wide = std::max<std::size_t>(pooled.rings / 6, 2);
         if (around.ring == r && around.column == p) return;
         around.ring = r, around.column = p;
-        float some[3];
+        float values[3];
         pooled.describe(r > 2 ? r - 2 : 0, std::min(r + 3, pooled.rings), p, 1, around.near);
         around.near_farthest = pooled.farthest_around(p, 1);
         pooled.describe(r > wide ? r - wide : 0, std::min(r + wide + 1, pooled.rings), p, 5, around.wide);
         pooled.describe(std::min(r + 1, pooled.rings), pooled.rings, p, 2, around.above);
-        pooled.describe(r > 4 ? r - 4 : 0, r, p, 1, some);
-        std::copy_n(some, 2, around.below);
-        pooled.describe(r, r + 1, p, POOLED / 2 - 1, some);
-        std::copy_n(some, 2, around.own_ring);
+        pooled.describe(r > 4 ? r - 4 : 0, r, p, 1, values);
+        std::copy_n(values, 2, around.below);
+        pooled.describe(r, r + 1, p, POOLED / 2 - 1, values);
+        std::copy_n(values, 2, around.own_ring);
         around.wide_farthest = pooled.farthest_around(p, 5);
         pooled.describe(0, pooled.rings, p, POOLED / 2 - 1, around.everything);
     }
@@ -577,7 +577,7 @@ MULTIVERSION void write_depths(const float* __restrict output, const GroupsAtOnc
 
 // Write the depths (3, AT_ONCE) of a batch of groups by the network.
 void guess_depths(const GroupsAtOnce& groups, float* depth_m) {
-    Lanes first[FEATURES], second[MOST_UNITS], third[MOST_UNITS], output[OUTPUTS];
+    Lanes first[FEATURES], second[MAX_UNITS], third[MAX_UNITS], output[OUTPUTS];
     standardize(groups.feature, reinterpret_cast<float*>(first));
     apply_layer(FIRST, FIRST_BIAS, FEATURES, std::size(FIRST_BIAS), first, true, second);
     apply_layer(SECOND, SECOND_BIAS, std::size(FIRST_BIAS), std::size(SECOND_BIAS), second, true, third);
@@ -636,7 +636,7 @@ NoReturnBeams guess_no_return_beams(const DepthImages& images, const RingAims& a
                 float found[3][AT_ONCE];
                 guess_depths(groups, found[0]);
                 const auto depth_m = [&](std::size_t d, std::size_t k) {
-                    return std::min(found[d][k], SHOWN_TIMES * scene.farthest_m);
+                    return std::min(found[d][k], MAX_REACH_RATIO * scene.farthest_m);
                 };
                 for (std::size_t k = 0; k < kept; ++k) depths[place[k]] = {depth_m(0, k), depth_m(1, k), depth_m(2, k)};
             }

@@ -95,10 +95,10 @@ std::vector<Cell> cells_of(View2<const float> points, View1<const float> height_
     std::fill(number.begin(), number.end(), -1);
     // 1. Count the standing returns in each cell.
     std::vector<Cell> cells;
-    std::vector<std::int32_t> cell(count);
+    std::vector<std::int32_t> cell_of_point(count);
     std::size_t standing = 0;
     for (std::size_t n = 0; n < count; ++n) {
-        cell[n] = -1;
+        cell_of_point[n] = -1;
         if (!(height_m[n] >= LOW_M && height_m[n] < HIGH_M)) continue;
         const std::int32_t at = cell_of(points(n, 0), points(n, 1));
         if (at < 0) continue;
@@ -108,17 +108,17 @@ std::vector<Cell> cells_of(View2<const float> points, View1<const float> height_
             cells.push_back({at, 0, 0, 0, 0.0f, 0.0f, 0.0f});
         }
         ++cells[k].count;
-        cell[n] = k;
+        cell_of_point[n] = k;
         ++standing;
     }
     // 2. Keep the nearest cells if there are too many, by whole meters of range.
     if (cells.size() > MOST_CELLS) {
         std::array<std::size_t, std::size_t(2 * HALF_EXTENT_M)> within{};
-        const auto ring_of = [](const Cell& each) {
-            const float x = float(each.at / CELLS) * CELL_M - HALF_EXTENT_M, y = float(each.at % CELLS) * CELL_M - HALF_EXTENT_M;
+        const auto ring_of = [](const Cell& cell) {
+            const float x = float(cell.at / CELLS) * CELL_M - HALF_EXTENT_M, y = float(cell.at % CELLS) * CELL_M - HALF_EXTENT_M;
             return std::min(std::size_t(std::hypot(x, y)), std::size_t(2 * HALF_EXTENT_M) - 1);
         };
-        for (const Cell& each : cells) ++within[ring_of(each)];
+        for (const Cell& cell : cells) ++within[ring_of(cell)];
         std::size_t rings = 0, total = 0;
         while (rings < within.size() && total + within[rings] <= MOST_CELLS) total += within[rings++];
         std::vector<std::int32_t> kept(cells.size(), -1);
@@ -134,34 +134,34 @@ std::vector<Cell> cells_of(View2<const float> points, View1<const float> height_
         cells.resize(next);
         for (std::size_t k = 0; k < next; ++k) number[cells[k].at] = std::int32_t(k);
         standing = 0;
-        for (std::int32_t& k : cell) {
+        for (std::int32_t& k : cell_of_point) {
             k = k < 0 ? -1 : kept[k];
             standing += k >= 0;
         }
     }
     // 3. Sort the rows by cell, and average each cell.
     std::int32_t next = 0;
-    for (Cell& each : cells) {
-        each.first = next;
-        next += each.count;
-        each.count = 0;
+    for (Cell& cell : cells) {
+        cell.first = next;
+        next += cell.count;
+        cell.count = 0;
     }
     rows.resize(standing);
     for (std::size_t n = 0; n < count; ++n) {
-        if (cell[n] >= 0) {
-            Cell& each = cells[cell[n]];
-            rows[each.first + each.count++] = std::int32_t(n);
-            each.x += points(n, 0);
-            each.y += points(n, 1);
+        if (cell_of_point[n] >= 0) {
+            Cell& cell = cells[cell_of_point[n]];
+            rows[cell.first + cell.count++] = std::int32_t(n);
+            cell.x += points(n, 0);
+            cell.y += points(n, 1);
         } else if (height_m[n] >= HIGH_M && height_m[n] < OVERHEAD_M) {
             const std::int32_t at = cell_of(points(n, 0), points(n, 1));
             if (at >= 0 && number[at] >= 0) ++cells[number[at]].over;
         }
     }
-    for (Cell& each : cells) {
-        each.x /= float(each.count);
-        each.y /= float(each.count);
-        each.range_m = std::hypot(each.x, each.y);
+    for (Cell& cell : cells) {
+        cell.x /= float(cell.count);
+        cell.y /= float(cell.count);
+        cell.range_m = std::hypot(cell.x, cell.y);
     }
     return cells;
 }
@@ -187,7 +187,7 @@ INLINE void for_pairs(const std::vector<Cell>& cells, const Buffer<std::int32_t>
 }
 
 // Link cells at each level; sets of a larger distance contain those of a smaller one.
-std::vector<Sets> linked(const std::vector<Cell>& cells, const Buffer<std::int32_t>& number) {
+std::vector<Sets> link_cells(const std::vector<Cell>& cells, const Buffer<std::int32_t>& number) {
     // 1. The smallest distance, with most pairs.
     Sets smallest(cells.size());
     for_pairs(cells, number, 0, [&](std::size_t k, std::int32_t other, float) { smallest.join(std::int32_t(k), other); });
@@ -294,19 +294,19 @@ float heading_of(const float* x, const float* y, std::size_t count) {
         return closeness(x, y, count, std::cos(float(degrees) * RAD_PER_DEG), std::sin(float(degrees) * RAD_PER_DEG));
     };
     int best = 0;
-    float most = -1.0f;
-    const auto look = [&](int degrees) {
+    float max_closeness = -1.0f;
+    const auto try_heading = [&](int degrees) {
         const float now = value(degrees);
-        if (now > most) {
-            most = now;
+        if (now > max_closeness) {
+            max_closeness = now;
             best = degrees;
         }
     };
-    for (int degrees = 0; degrees < 90; degrees += COARSE_DEG) look(degrees);
+    for (int degrees = 0; degrees < 90; degrees += COARSE_DEG) try_heading(degrees);
     const int middle = best;
     for (int away = FINE_DEG; away < COARSE_DEG; away += FINE_DEG) {
-        look(middle - away);
-        look(middle + away);
+        try_heading(middle - away);
+        try_heading(middle + away);
     }
     return float((best + 90) % 90) * RAD_PER_DEG;
 }
@@ -476,7 +476,7 @@ Candidates find_candidates(View2<const float> points, View1<const float> height_
     std::vector<std::int32_t> by_cell;
     std::vector<Cell> cells = cells_of(points, height_m, number, by_cell);
     // 2. Link cells at every level.
-    std::vector<Sets> sets = linked(cells, number);
+    std::vector<Sets> sets = link_cells(cells, number);
     std::vector<Span> spans = spans_of(cells, sets);
     // 3. Sort rows by component; store where each cell begins.
     std::vector<std::int32_t> begins(cells.size() + 1, 0);

@@ -17,15 +17,15 @@
 namespace viewshed {
 namespace {
 
-constexpr std::size_t MOST_THREADS = 4;
+constexpr std::size_t MAX_THREADS = 4;
 
 // Spins of an idle thread before it sleeps: about 0.2 ms, longer than the time between two stages.
-constexpr int LOOKS = 8000;
+constexpr int MAX_SPINS = 8000;
 
 std::size_t threads_at_first() {
     std::size_t count = std::thread::hardware_concurrency();
     if (const char* text = std::getenv("OMP_NUM_THREADS")) count = std::strtoul(text, nullptr, 10);
-    return std::clamp<std::size_t>(count, 1, MOST_THREADS);
+    return std::clamp<std::size_t>(count, 1, MAX_THREADS);
 }
 
 std::atomic<std::size_t> thread_count{threads_at_first()};
@@ -96,7 +96,7 @@ private:
 
     void help() {
         for (std::size_t seen = 0;;) {
-            for (int look = 0; look < LOOKS && number_.load(std::memory_order_acquire) == seen; ++look) {
+            for (int spin = 0; spin < MAX_SPINS && number_.load(std::memory_order_acquire) == seen; ++spin) {
 #if defined(__x86_64__)
                 __builtin_ia32_pause();
 #endif
@@ -139,7 +139,7 @@ void set_helpers(std::size_t count) {
 std::size_t threads() { return thread_count.load(std::memory_order_relaxed); }
 
 void set_threads(std::size_t count) {
-    thread_count.store(std::clamp<std::size_t>(count, 1, MOST_THREADS));
+    thread_count.store(std::clamp<std::size_t>(count, 1, MAX_THREADS));
     // If a job is running, the next one resizes the pool.
     const std::unique_lock lock(one_job_at_a_time, std::try_to_lock);
     if (lock.owns_lock() && helpers != nullptr && helpers->count() + 1 != threads()) set_helpers(0);
@@ -150,13 +150,13 @@ std::size_t count_parts(std::size_t size, std::size_t least) {
 }
 
 void run_parts(std::size_t parts, const std::function<void(std::size_t)>& part) {
-    const std::size_t wanted = threads();
+    const std::size_t max_threads = threads();
     std::unique_lock lock(one_job_at_a_time, std::try_to_lock);
-    if (parts <= 1 || wanted <= 1 || !lock.owns_lock()) {
+    if (parts <= 1 || max_threads <= 1 || !lock.owns_lock()) {
         for (std::size_t k = 0; k < parts; ++k) part(k);
         return;
     }
-    set_helpers(wanted - 1);
+    set_helpers(max_threads - 1);
     helpers->run(parts, part);
 }
 

@@ -26,10 +26,10 @@ std::array<float, 2 * PLACES> places() {
     return xy;
 }
 
-MULTIVERSION void raise_to(const float* slope, float more, float* most) {
+MULTIVERSION void raise_to(const float* slope, float more, float* max_slope) {
     for (std::size_t s = 0; s < GROUND_SECTORS; ++s) {
         const float raised = slope[s] + more;
-        most[s] = raised > most[s] ? raised : most[s];
+        max_slope[s] = raised > max_slope[s] ? raised : max_slope[s];
     }
 }
 

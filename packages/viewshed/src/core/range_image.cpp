@@ -153,8 +153,8 @@ RangeImage range_image(View2<const float> points, View1<const std::int16_t> ring
     std::vector<std::int64_t> ring_sizes(rings, 0);
     for (std::size_t r = 0; r < rings; ++r) {
         std::array<std::int32_t, PHASES> histogram{};
-        for (const auto& of_part : phases) {
-            for (int p = 0; p < PHASES; ++p) histogram[p] += of_part[r * PHASES + p];
+        for (const auto& histograms : phases) {
+            for (int p = 0; p < PHASES; ++p) histogram[p] += histograms[r * PHASES + p];
         }
         for (const std::int32_t size : histogram) ring_sizes[r] += size;
         image.phase[r] = circular_mean(histogram.data());
@@ -206,15 +206,15 @@ Buffer<bool> silent_columns(View2<const std::uint8_t> counts) {
     for (std::size_t r = 0; r < counts.rows; ++r) {
         for (std::size_t c = 0; c < counts.columns; ++c) rings[c] += counts(r, c) > 0;
     }
-    std::vector<std::int32_t> some;
-    std::copy_if(rings.begin(), rings.end(), std::back_inserter(some), [](std::int32_t n) { return n > 0; });
-    double least = 0.0;
-    if (!some.empty()) {
-        std::nth_element(some.begin(), some.begin() + std::ptrdiff_t(some.size() / 2), some.end());
-        least = AWAKE_SHARE * some[some.size() / 2];
+    std::vector<std::int32_t> nonempty;
+    std::copy_if(rings.begin(), rings.end(), std::back_inserter(nonempty), [](std::int32_t n) { return n > 0; });
+    double min_rings = 0.0;
+    if (!nonempty.empty()) {
+        std::nth_element(nonempty.begin(), nonempty.begin() + std::ptrdiff_t(nonempty.size() / 2), nonempty.end());
+        min_rings = AWAKE_SHARE * nonempty[nonempty.size() / 2];
     }
     Buffer<bool> silent(counts.columns);
-    for (std::size_t c = 0; c < counts.columns; ++c) silent[c] = rings[c] == 0 || rings[c] < least;
+    for (std::size_t c = 0; c < counts.columns; ++c) silent[c] = rings[c] == 0 || rings[c] < min_rings;
     return silent;
 }
 

@@ -25,7 +25,7 @@ constexpr std::size_t SOON = 8;
 
 // A step of the azimuth against its direction, in radians; its largest share for points that are stored ring by ring.
 constexpr float BACKWARD = 0.003f;
-constexpr double MOST_BACKWARD = 0.03;
+constexpr double MAX_BACKWARD = 0.03;
 
 // Limits of the number of rings; more than that are noise.
 constexpr std::size_t FEWEST_RINGS = 4, MOST_RINGS = 4096;
@@ -40,16 +40,16 @@ constexpr std::size_t BESIDE = 2;
 constexpr double ONE_WAY_AT_SEAMS = 0.7, ONE_WAY = 0.9;
 
 // Smaller slope changes count as 0: rounding where a ring was cut in two.
-constexpr double LEAST_STEP = 1e-5;
+constexpr double MIN_STEP = 1e-5;
 
 // Returns sampled evenly from a ring for its median slope.
 constexpr std::size_t RETURNS_OF_RING = 256;
 
 // Largest ratio of the path of the median slopes over rings to the distance from first to last.
-constexpr double MOST_WAY = 1.5;
+constexpr double MAX_PATH = 1.5;
 
 // Accept rings at once if the slope changes within them by less than this share of a step.
-constexpr double LITTLE = 0.3;
+constexpr double SMALL_CHANGE = 0.3;
 
 // Fewest points for which a part pays for its thread.
 constexpr std::size_t PART = 16384;
@@ -115,7 +115,7 @@ Order order_rings(View2<const float> points, float start, float sense) {
     Order order;
     // 1. Mark the steps, block by block. Stop early if too many go backward.
     const std::size_t blocks = (count + BLOCK - 1) / BLOCK, parts = count_parts(count, PART);
-    const auto too_many = [&](std::size_t backward) { return double(backward) > MOST_BACKWARD * double(count); };
+    const auto too_many = [&](std::size_t backward) { return double(backward) > MAX_BACKWARD * double(count); };
     Buffer<std::uint8_t> marked((count + 7) / 8 * 8);
     std::fill(marked.begin() + count, marked.end(), std::uint8_t{0});
     std::vector<std::size_t> backward(parts, 0);
@@ -147,13 +147,13 @@ Order order_rings(View2<const float> points, float start, float sense) {
             if (marked[n] == WRAPS) {
                 ++wraps;
                 last = change_over(n);
-                rising += last > LEAST_STEP;
-                falling += last < -LEAST_STEP;
+                rising += last > MIN_STEP;
+                falling += last < -MIN_STEP;
                 last_start = n;
             } else if (wraps > 0 && n - last_start < SOON) {
                 --wraps;
-                rising -= last > LEAST_STEP;
-                falling -= last < -LEAST_STEP;
+                rising -= last > MIN_STEP;
+                falling -= last < -MIN_STEP;
                 last = 0.0;
             } else {
                 continue;
@@ -276,7 +276,7 @@ private:
 };
 
 // Assign elevation bins: the table's nearest beams, else bins with equally many returns.
-Rings elevation_bins(const Directions& seen, const BeamTable* table) {
+Rings elevation_bins(const Directions& directions, const BeamTable* table) {
     std::vector<double> edges;
     if (table != nullptr) {
         for (std::size_t k = 0; k + 1 < table->rings(); ++k) {
@@ -284,8 +284,8 @@ Rings elevation_bins(const Directions& seen, const BeamTable* table) {
         }
     } else {
         std::vector<float> ascending;
-        for (std::size_t n = 0; n < seen.size(); ++n) {
-            if (seen.range_m[n] > 0.0f) ascending.push_back(seen.slope[n]);
+        for (std::size_t n = 0; n < directions.size(); ++n) {
+            if (directions.range_m[n] > 0.0f) ascending.push_back(directions.slope[n]);
         }
         std::sort(ascending.begin(), ascending.end());
         for (std::size_t k = 1; k < PSEUDO_RINGS && !ascending.empty(); ++k) {
@@ -293,10 +293,10 @@ Rings elevation_bins(const Directions& seen, const BeamTable* table) {
         }
         edges.erase(std::unique(edges.begin(), edges.end()), edges.end());
     }
-    Rings rings{Buffer<std::int16_t>(seen.size()), edges.size() + 1};
-    for (std::size_t n = 0; n < seen.size(); ++n) {
-        const auto bin = std::upper_bound(edges.begin(), edges.end(), double(seen.slope[n])) - edges.begin();
-        rings.ring[n] = std::int16_t(seen.range_m[n] > 0.0f ? bin : -1);
+    Rings rings{Buffer<std::int16_t>(directions.size()), edges.size() + 1};
+    for (std::size_t n = 0; n < directions.size(); ++n) {
+        const auto bin = std::upper_bound(edges.begin(), edges.end(), double(directions.slope[n])) - edges.begin();
+        rings.ring[n] = std::int16_t(directions.range_m[n] > 0.0f ? bin : -1);
     }
     return rings;
 }
@@ -343,23 +343,23 @@ double firing_step(std::vector<double> own, std::vector<double> pooled, const Be
 }
 
 // Return the columns of a revolution: measured in the fullest rings, else the table's, else the default.
-std::size_t measure_columns(const Directions& seen, const Rings& rings, RingSource source, const BeamTable* table) {
+std::size_t measure_columns(const Directions& directions, const Rings& rings, RingSource source, const BeamTable* table) {
     const std::size_t fallback = table != nullptr ? std::size_t(table->columns) : DEFAULT_COLUMNS;
     if (source == RingSource::ELEVATION_BINS) return fallback;
     // 1. Collect the azimuths of the fullest rings.
     std::vector<std::size_t> sizes(rings.count, 0), fullest(rings.count);
-    const auto is_used = [&](std::size_t n) { return rings.ring[n] >= 0 && seen.range_m[n] > NEAR_M; };
-    for (std::size_t n = 0; n < seen.size(); ++n) {
+    const auto is_used = [&](std::size_t n) { return rings.ring[n] >= 0 && directions.range_m[n] > NEAR_M; };
+    for (std::size_t n = 0; n < directions.size(); ++n) {
         if (is_used(n)) ++sizes[std::size_t(rings.ring[n])];
     }
     std::iota(fullest.begin(), fullest.end(), std::size_t{0});
     std::stable_sort(fullest.begin(), fullest.end(), [&](auto a, auto b) { return sizes[a] > sizes[b]; });
     fullest.resize(std::min(fullest.size(), SAMPLED_RINGS));
     std::vector<std::vector<double>> sampled(fullest.size());
-    for (std::size_t n = 0; n < seen.size(); ++n) {
+    for (std::size_t n = 0; n < directions.size(); ++n) {
         if (!is_used(n)) continue;
         const auto place = std::find(fullest.begin(), fullest.end(), std::size_t(rings.ring[n])) - fullest.begin();
-        if (place < std::ptrdiff_t(fullest.size())) sampled[std::size_t(place)].push_back(seen.azimuth[n]);
+        if (place < std::ptrdiff_t(fullest.size())) sampled[std::size_t(place)].push_back(directions.azimuth[n]);
     }
     // 2. Collect gaps within each ring, and in all together.
     std::vector<double> own, all, pooled;
@@ -378,7 +378,7 @@ std::size_t measure_columns(const Directions& seen, const Rings& rings, RingSour
 }
 
 // Return the median elevations (rings,); the table's, or interpolated, for rings without a return beyond 1 m.
-Buffer<double> median_elevations(const Directions& seen, const Rings& rings, const BeamTable* table) {
+Buffer<double> median_elevations(const Directions& directions, const Rings& rings, const BeamTable* table) {
     const ByRing by_ring(rings.ring, rings.count);
     Buffer<double> elevation(rings.count);
     std::vector<std::size_t> known;
@@ -386,7 +386,7 @@ Buffer<double> median_elevations(const Directions& seen, const Rings& rings, con
     for (std::size_t r = 0; r < rings.count; ++r) {
         values.clear();
         for (const std::uint32_t n : by_ring.rows(r)) {
-            if (seen.range_m[n] > NEAR_M) values.push_back(seen.slope[n]);
+            if (directions.range_m[n] > NEAR_M) values.push_back(directions.slope[n]);
         }
         elevation[r] = std::atan(lower_median(values.data(), values.size()));
         if (!values.empty()) known.push_back(r);
@@ -413,7 +413,7 @@ Buffer<double> median_elevations(const Directions& seen, const Rings& rings, con
 }
 
 // Return the ring of each return, and the source of the rings.
-std::pair<Rings, RingSource> find_rings(View2<const float> points, const Directions& seen,
+std::pair<Rings, RingSource> find_rings(View2<const float> points, const Directions& directions,
                                         std::optional<View1<const std::int16_t>> known, const BeamTable* table) {
     if (known) {
         Rings rings{Buffer<std::int16_t>(known->size), table != nullptr ? table->rings() : 1};
@@ -426,12 +426,12 @@ std::pair<Rings, RingSource> find_rings(View2<const float> points, const Directi
         return {std::move(*ordered), RingSource::FILE_ORDER};
     }
     if (table != nullptr) {
-        BeamMatch match = match_beams(seen.slope, seen.range_m, *table);
+        BeamMatch match = match_beams(directions.slope, directions.range_m, *table);
         if (match.excess >= EXPLAINED) return {Rings{std::move(match.ring), table->rings()}, RingSource::BEAM_TABLE};
-    } else if (std::optional<ClusteredRings> clustered = rings_by_clusters(seen)) {
+    } else if (std::optional<ClusteredRings> clustered = rings_by_clusters(directions)) {
         return {std::move(clustered->rings), RingSource::ELEVATION_CLUSTERS};
     }
-    return {elevation_bins(seen, table), RingSource::ELEVATION_BINS};
+    return {elevation_bins(directions, table), RingSource::ELEVATION_BINS};
 }
 
 }  // namespace
@@ -474,23 +474,23 @@ std::optional<Rings> rings_by_order(View2<const float> points) {
             std::vector<double> medians = medians_in_order(order, points);
             std::erase_if(medians, [](double median) { return !std::isfinite(median); });
             if (medians.size() < 2) continue;
-            double way = 0.0, rising = 0.0, falling = 0.0;
+            double path = 0.0, rising = 0.0, falling = 0.0;
             std::vector<double> steps;
             for (std::size_t k = 1; k < medians.size(); ++k) {
                 const double step = medians[k] - medians[k - 1];
-                rising += step > LEAST_STEP;
-                falling += step < -LEAST_STEP;
-                way += std::abs(step);
+                rising += step > MIN_STEP;
+                falling += step < -MIN_STEP;
+                path += std::abs(step);
                 steps.push_back(std::abs(step));
             }
             const bool one_way = std::max(rising, falling) >= ONE_WAY * double(steps.size());
             // Two sensors in one cloud rise twice.
-            const bool once = way <= MOST_WAY * std::abs(medians.back() - medians.front());
+            const bool is_single = path <= MAX_PATH * std::abs(medians.back() - medians.front());
             const double change = change_within(order, points) / median_of(std::move(steps));
-            if (change < least && once && one_way) {
+            if (change < least && is_single && one_way) {
                 best = fill_rings(order, points.rows, rising > falling);
                 least = change;
-                if (change < LITTLE) return best;
+                if (change < SMALL_CHANGE) return best;
             }
         }
     }
@@ -499,11 +499,11 @@ std::optional<Rings> rings_by_order(View2<const float> points) {
 
 RingAssignment recover_rings(View2<const float> points, std::optional<View1<const std::int16_t>> known,
                              const BeamTable* table) {
-    const Directions seen = directions_of(points);
-    auto found = find_rings(points, seen, known, table);
+    const Directions directions = directions_of(points);
+    auto found = find_rings(points, directions, known, table);
     Rings& rings = found.first;
     const RingSource source = found.second;
-    const std::size_t count = points.rows, columns = measure_columns(seen, rings, source, table);
+    const std::size_t count = points.rows, columns = measure_columns(directions, rings, source, table);
     // Assign columns, and count the returns that are alone in their pixel.
     Buffer<std::int32_t> column(count);
     Buffer<std::uint8_t> counts(rings.count * columns, 0);
@@ -512,7 +512,7 @@ RingAssignment recover_rings(View2<const float> points, std::optional<View1<cons
     };
     const double per_rad = double(columns) / (2 * std::numbers::pi);
     for (std::size_t n = 0; n < count; ++n) {
-        const double at = (double(seen.azimuth[n]) + std::numbers::pi) * per_rad;
+        const double at = (double(directions.azimuth[n]) + std::numbers::pi) * per_rad;
         column[n] = std::int32_t(at > 0.0 ? std::min(at, double(columns - 1)) : 0.0);
         if (rings.ring[n] >= 0) pixel(n) = std::uint8_t(std::min(pixel(n) + 1, 2));
     }
@@ -521,7 +521,7 @@ RingAssignment recover_rings(View2<const float> points, std::optional<View1<cons
         placed += rings.ring[n] >= 0;
         alone += rings.ring[n] >= 0 && pixel(n) == 1;
     }
-    Buffer<double> elevation = median_elevations(seen, rings, table);
+    Buffer<double> elevation = median_elevations(directions, rings, table);
     return {std::move(rings.ring), std::move(column), columns, std::move(elevation), placed, alone, source};
 }
 

@@ -14,37 +14,37 @@
 namespace viewshed {
 namespace {
 
-constexpr double NEVER = std::numeric_limits<double>::infinity();
+constexpr double INFINITE = std::numeric_limits<double>::infinity();
 constexpr double DEGREE = std::numbers::pi / 180;
 
 // Sample sizes: returns for identification, and returns for the elevations of rings.
-constexpr std::size_t SAMPLE = 16'384, OF_RINGS = 8192;
+constexpr std::size_t SAMPLE = 16'384, RING_SAMPLE = 8192;
 
 // The first returns suffice if a share SURE of them matches one table: no other has its beams at the same elevations.
-constexpr std::size_t FIRST_OF_RINGS = 2048;
+constexpr std::size_t FIRST_RING_SAMPLE = 2048;
 constexpr double SURE = 0.9;
 
 // Required share of returns whose ring lies at its beam in the table.
 constexpr double AGREEING = 0.8;
 
 // A ring lies at a beam within a quarter of the gap to the next beam, and within 0.25°, ...
-constexpr double NEAR_SHARE = 0.25, MOST_OFF = 0.25 * DEGREE;
+constexpr double NEAR_SHARE = 0.25, MAX_OFF = 0.25 * DEGREE;
 
 // ... and the median ring within a tenth of the gap, or 0.03°: otherwise the sensor has a calibration of its own.
-constexpr double TYPICAL_SHARE = 0.1, LEAST_GAP = 0.3 * DEGREE;
-constexpr std::size_t FEWEST_OF_RING = 4;
+constexpr double TYPICAL_SHARE = 0.1, MIN_BEAM_GAP = 0.3 * DEGREE;
+constexpr std::size_t MIN_RETURNS = 4;
 
 // Minimum gap between the rings of a layout.
-constexpr double LEAST_APART = 0.05 * DEGREE;
+constexpr double MIN_GAP = 0.05 * DEGREE;
 
 // Range of the number of rings, or of clusters, relative to a table's beams ...
-constexpr double LEAST_OF_TABLE = 0.5, MOST_OF_TABLE = 1.15;
+constexpr double MIN_RING_SHARE = 0.5, MAX_CLUSTER_SHARE = 1.15;
 
 // ... and required share of rings at consecutive beams: every second beam of a table is another sensor.
 constexpr double NEXT_BEAM = 0.8;
 
 // Without rings: required share HIT of beams that are hit, each by at least LEAST_HITS returns.
-constexpr double HIT = 0.9, LEAST_HITS = 2.0, HIT_SHARE = 0.02;
+constexpr double HIT = 0.9, MIN_HITS = 2.0, HIT_SHARE = 0.02;
 
 // Clusters that explain this share of the returns are the sensor's beams, even against a table.
 constexpr double SHARP = 0.97;
@@ -134,9 +134,9 @@ std::vector<double> ring_elevations(const ReturnsByRing& returns, const std::vec
 }
 
 // Check that the number of rings fits a table.
-bool is_as_many(const ShownRings& rings, const BeamTable& table) {
+bool has_similar_count(const ShownRings& rings, const BeamTable& table) {
     const double count = double(rings.count), beams = double(table.rings());
-    return LEAST_OF_TABLE * beams <= count && count <= (rings.are_clusters() ? MOST_OF_TABLE : 1.0) * beams;
+    return MIN_RING_SHARE * beams <= count && count <= (rings.are_clusters() ? MAX_CLUSTER_SHARE : 1.0) * beams;
 }
 
 // Median slope and median nearness of a ring.
@@ -148,8 +148,8 @@ struct RingMedian {
 // Return the median distance of rings from their beams, in gaps between beams; infinite if the counts do not fit.
 //
 // Approximation: slope = slope of the beam + origin height · nearness, applied to the medians.
-double roughly_off(const ShownRings& rings, const std::vector<RingMedian>& medians, const BeamTable& table) {
-    if (!is_as_many(rings, table) || medians.size() < 2) return NEVER;
+double median_offset(const ShownRings& rings, const std::vector<RingMedian>& medians, const BeamTable& table) {
+    if (!has_similar_count(rings, table) || medians.size() < 2) return INFINITE;
     std::vector<double> off;
     if (rings.count == table.rings() && !rings.are_clusters()) {
         for (const auto& [ring, slope, nearness] : medians) {
@@ -178,7 +178,7 @@ double roughly_off(const ShownRings& rings, const std::vector<RingMedian>& media
 // They match if rings have distinct beams in order, with most returns at consecutive beams. Two clusters may share one.
 std::optional<std::vector<std::size_t>> beams_of_rings(const ShownRings& rings, const ReturnsByRing& returns,
                                                        const BeamTable& table) {
-    if (!is_as_many(rings, table)) return std::nullopt;
+    if (!has_similar_count(rings, table)) return std::nullopt;
     std::vector<std::size_t> beam(rings.count);
     std::iota(beam.begin(), beam.end(), std::size_t{0});
     if (rings.count == table.rings() && !rings.are_clusters()) return beam;
@@ -234,8 +234,8 @@ double ring_score(const ShownRings& rings, const ReturnsByRing& returns, const B
         if (!std::isfinite(off)) continue;
         const auto size = double(returns.size_of(r));
         all += size;
-        agreeing += off < std::min(NEAR_SHARE * gap, MOST_OFF) ? size : 0.0;
-        if (returns.size_of(r) >= FEWEST_OF_RING) shares.push_back(off / std::max(gap, LEAST_GAP));
+        agreeing += off < std::min(NEAR_SHARE * gap, MAX_OFF) ? size : 0.0;
+        if (returns.size_of(r) >= MIN_RETURNS) shares.push_back(off / std::max(gap, MIN_BEAM_GAP));
     }
     if (shares.empty() || median_of(std::move(shares)) > TYPICAL_SHARE) return 0.0;
     return agreeing / std::max(all, 1.0);
@@ -266,7 +266,7 @@ Scored agreeing_table(const ShownRings& rings, const ReturnsByRing& returns, con
         if (std::isfinite(slopes[r])) medians.push_back({r, slopes[r], nearness[r]});
     }
     std::vector<double> near;
-    for (const BeamTable& table : tables) near.push_back(-roughly_off(rings, medians, table));
+    for (const BeamTable& table : tables) near.push_back(-median_offset(rings, medians, table));
     // 2. Score the likeliest tables, with each ring seen from its beam's origin.
     const std::vector<int> likely = likeliest(near);
     std::vector<double> scores(likely.size(), 0.0);
@@ -284,7 +284,7 @@ Scored agreeing_table(const ShownRings& rings, const ReturnsByRing& returns, con
 double cluster_score(View1<const float> slope, View1<const float> range_m, const BeamTable& table) {
     const BeamMatch match = match_beams(slope, range_m, table);
     const auto all = double(std::accumulate(match.hits.begin(), match.hits.end(), std::int64_t{0}));
-    const double least = std::max(LEAST_HITS, HIT_SHARE * all / double(table.rings()));
+    const double least = std::max(MIN_HITS, HIT_SHARE * all / double(table.rings()));
     const auto is_hit = [&](std::int64_t hits) { return double(hits) > least; };
     const auto first = std::find_if(match.hits.begin(), match.hits.end(), is_hit);
     if (first == match.hits.end()) return 0.0;
@@ -372,16 +372,16 @@ std::optional<OwnRings> rings_shown_by_order(View2<const float> points) {
     return OwnRings{std::move(rings->ring), rings->count, RingSource::FILE_ORDER};
 }
 
-std::optional<OwnRings> rings_shown_by_clusters(const Directions& seen) {
-    std::optional<ClusteredRings> found = rings_by_clusters(seen);
+std::optional<OwnRings> rings_shown_by_clusters(const Directions& directions) {
+    std::optional<ClusteredRings> found = rings_by_clusters(directions);
     if (!found) return std::nullopt;
     return OwnRings{std::move(found->rings.ring), found->rings.count, RingSource::ELEVATION_CLUSTERS,
                     found->clusters.sharpness, BeamTable(found->clusters.elevation, found->clusters.origin_m, 0)};
 }
 
 // Return the nearest beam of each return (N,), or none if the returns do not cluster at the beams.
-std::optional<Buffer<std::int16_t>> nearest_beams(const Directions& seen, const BeamTable& table) {
-    BeamMatch match = match_beams(seen.slope, seen.range_m, table);
+std::optional<Buffer<std::int16_t>> nearest_beams(const Directions& directions, const BeamTable& table) {
+    BeamMatch match = match_beams(directions.slope, directions.range_m, table);
     if (match.excess < EXPLAINED) return std::nullopt;
     return std::move(match.ring);
 }
@@ -389,7 +389,7 @@ std::optional<Buffer<std::int16_t>> nearest_beams(const Directions& seen, const 
 // Points (N, 3) with their motion compensation undone, their directions, and the rings of sharp clusters among them.
 struct AtRest {
     Buffer<float> measured;
-    Directions seen;
+    Directions directions;
     std::optional<OwnRings> rings;
 };
 
@@ -398,9 +398,9 @@ std::optional<AtRest> undo_motion_of(View2<const float> points) {
     if (!motion) return std::nullopt;
     Buffer<float> measured(points.size());
     undo_motion(points, *motion, measured.view(points.rows, 3));
-    Directions seen = directions_of({measured.data(), points.rows, 3});
-    AtRest at_rest{std::move(measured), std::move(seen), std::nullopt};
-    at_rest.rings = rings_shown_by_clusters(at_rest.seen);
+    Directions directions = directions_of({measured.data(), points.rows, 3});
+    AtRest at_rest{std::move(measured), std::move(directions), std::nullopt};
+    at_rest.rings = rings_shown_by_clusters(at_rest.directions);
     if (at_rest.rings && at_rest.rings->sharpness < SHARP_AT_REST) at_rest.rings.reset();
     return at_rest;
 }
@@ -410,20 +410,20 @@ struct Identified {
     int table = NO_SENSOR;
     double score = 0.0;
     std::optional<OwnRings> rings;
-    std::optional<Directions> seen;  // directions of the points, if they were computed
+    std::optional<Directions> directions;  // directions of the points, if they were computed
     std::optional<Buffer<std::int16_t>> counted;  // rings by the expected layout, if it matched
 };
 
 // Check on the first sample if the rings are surely those of an expected table.
 bool is_surely(const BeamTable& table, const ShownRings& rings, View2<const float> points) {
     return rings.count == table.rings() &&
-           ring_score(rings, sample_by_ring(points, rings, FIRST_OF_RINGS), table) >= SURE;
+           ring_score(rings, sample_by_ring(points, rings, FIRST_RING_SAMPLE), table) >= SURE;
 }
 
 // Return the table that matches the rings, and its score.
 Scored table_by_rings(View2<const float> points, const ShownRings& rings, const BeamTables& tables) {
-    const Scored first = agreeing_table(rings, sample_by_ring(points, rings, FIRST_OF_RINGS), tables);
-    return first.second >= SURE ? first : agreeing_table(rings, sample_by_ring(points, rings, OF_RINGS), tables);
+    const Scored first = agreeing_table(rings, sample_by_ring(points, rings, FIRST_RING_SAMPLE), tables);
+    return first.second >= SURE ? first : agreeing_table(rings, sample_by_ring(points, rings, RING_SAMPLE), tables);
 }
 
 // Renumber rings (N,) found by order to match a layout; none if they do not match.
@@ -433,7 +433,7 @@ Scored table_by_rings(View2<const float> points, const ShownRings& rings, const 
 std::optional<Buffer<std::int16_t>> counted_by_layout(View2<const float> points, const ShownRings& rings,
                                                       const BeamTable& layout) {
     const std::vector<double> origin_m(rings.count, 0.0);
-    const std::vector<double> elevation = ring_elevations(sample_by_ring(points, rings, FIRST_OF_RINGS), origin_m);
+    const std::vector<double> elevation = ring_elevations(sample_by_ring(points, rings, FIRST_RING_SAMPLE), origin_m);
     const auto count = std::ptrdiff_t(rings.count), beams = std::ptrdiff_t(layout.rings());
     std::ptrdiff_t most = 0, best = 0;
     for (const std::ptrdiff_t shift : {0, -1, 1, -2, 2}) {
@@ -447,7 +447,7 @@ std::optional<Buffer<std::int16_t>> counted_by_layout(View2<const float> points,
             best = shift;
         }
     }
-    if (double(most) < LEAST_OF_TABLE * double(std::max(count, beams))) return std::nullopt;
+    if (double(most) < MIN_RING_SHARE * double(std::max(count, beams))) return std::nullopt;
     Buffer<std::int16_t> counted(rings.ring.size);
     for (std::size_t n = 0; n < counted.size(); ++n) {
         const std::ptrdiff_t beam = rings.ring[n] + best;
@@ -476,9 +476,9 @@ Identified identify(View2<const float> points, const BeamTables& tables, Expecte
         if (found.counted) return found;
     }
     // 2. Rings by elevation, first at the expected layout.
-    found.seen = directions_of(points);
+    found.directions = directions_of(points);
     if (!found.rings && expected.layout) {
-        BeamMatch match = match_beams(found.seen->slope, found.seen->range_m, *expected.layout);
+        BeamMatch match = match_beams(found.directions->slope, found.directions->range_m, *expected.layout);
         if (match.excess >= SHARP) {
             std::optional<OwnRings> gathered = OwnRings{std::move(match.ring), expected.layout->rings(),
                                                         RingSource::ELEVATION_CLUSTERS, match.excess, *expected.layout};
@@ -486,7 +486,7 @@ Identified identify(View2<const float> points, const BeamTables& tables, Expecte
             return found;
         }
     }
-    std::optional<OwnRings> clustered = rings_shown_by_clusters(*found.seen);
+    std::optional<OwnRings> clustered = rings_shown_by_clusters(*found.directions);
     if (clustered && agrees(clustered)) return found;
     // 3. Without rings, or with blurred clusters, match tables directly: they know the origins of their beams.
     if (!found.rings || (found.rings->shown().are_clusters() && found.rings->sharpness < SHARP)) {
@@ -528,8 +528,8 @@ SensorId identify_by_rings(View2<const float> points, View1<const std::int16_t> 
     if (expected != NO_SENSOR && is_surely(tables[expected], rings, points)) return {std::nullopt, expected};
     const auto [table, score] = table_by_rings(points, rings, tables);
     if (table == NO_SENSOR || rings.count == tables[table].rings()) return {std::nullopt, table};
-    const Directions seen = directions_of(points);
-    return {counted_as_beams(rings, seen.slope.data(), seen.range_m.data(), tables[table]), table};
+    const Directions directions = directions_of(points);
+    return {counted_as_beams(rings, directions.slope.data(), directions.range_m.data(), tables[table]), table};
 }
 
 // Return the layout of rings without a matching table: the elevations of clusters, or the median elevation of each
@@ -537,10 +537,10 @@ SensorId identify_by_rings(View2<const float> points, View1<const std::int16_t> 
 BeamTable layout_of(View2<const float> points, const OwnRings& rings) {
     if (rings.clusters) return *rings.clusters;
     std::vector<double> origin_m(rings.count, 0.0);
-    std::vector<double> elevation = ring_elevations(sample_by_ring(points, rings.shown(), OF_RINGS), origin_m);
+    std::vector<double> elevation = ring_elevations(sample_by_ring(points, rings.shown(), RING_SAMPLE), origin_m);
     double above = std::numbers::pi / 2;
     for (std::size_t r = rings.count; r-- > 0;) {
-        above = elevation[r] < above - LEAST_APART ? elevation[r] : above - LEAST_APART;
+        above = elevation[r] < above - MIN_GAP ? elevation[r] : above - MIN_GAP;
         elevation[r] = above;
     }
     return BeamTable(std::move(elevation), std::move(origin_m), 0);
@@ -554,7 +554,7 @@ SensorId identify_by_points(View2<const float> points, const BeamTables& tables,
     if (!found.counted && is_doubtful(found)) {
         std::optional<AtRest> at_rest = undo_motion_of(points);
         if (at_rest && at_rest->rings && is_better(*at_rest->rings, found.rings)) {
-            found.seen = std::move(at_rest->seen);
+            found.directions = std::move(at_rest->directions);
             found.rings = std::move(at_rest->rings);
             const View2<const float> measured{at_rest->measured.data(), points.rows, 3};
             const int table = table_by_rings(measured, found.rings->shown(), tables).first;
@@ -577,9 +577,9 @@ SensorId identify_by_points(View2<const float> points, const BeamTables& tables,
     if (found.rings && found.rings->count == table.rings() && !found.rings->shown().are_clusters()) {
         return {std::move(found.rings->ring), found.table};
     }
-    const Directions seen = found.seen ? std::move(*found.seen) : directions_of(points);
-    if (!found.rings || found.rings->shown().are_clusters()) return {nearest_beams(seen, table), found.table};
-    auto counted = counted_as_beams(found.rings->shown(), seen.slope.data(), seen.range_m.data(), table);
+    const Directions directions = found.directions ? std::move(*found.directions) : directions_of(points);
+    if (!found.rings || found.rings->shown().are_clusters()) return {nearest_beams(directions, table), found.table};
+    auto counted = counted_as_beams(found.rings->shown(), directions.slope.data(), directions.range_m.data(), table);
     return {counted ? std::move(*counted) : std::move(found.rings->ring), found.table};
 }
 
@@ -598,16 +598,16 @@ std::optional<Buffer<std::int16_t>> beams_of_sensor(View2<const float> points, c
     // 2. Else the nearest beams. If the table matches poorly, the sensor moved or has a calibration of its own: then
     // try
     //    clusters without motion compensation, renumbered as the table's beams.
-    const Directions seen = directions_of(points);
-    BeamMatch match = match_beams(seen.slope, seen.range_m, table);
+    const Directions directions = directions_of(points);
+    BeamMatch match = match_beams(directions.slope, directions.range_m, table);
     std::optional<AtRest> at_rest = match.excess < SHARP ? undo_motion_of(points) : std::nullopt;
     if (at_rest && at_rest->rings) {
-        const float *slope = at_rest->seen.slope.data(), *range_m = at_rest->seen.range_m.data();
+        const float *slope = at_rest->directions.slope.data(), *range_m = at_rest->directions.range_m.data();
         if (at_rest->rings->count == table.rings()) return std::move(at_rest->rings->ring);
         if (auto counted = counted_as_beams(at_rest->rings->shown(), slope, range_m, table)) return counted;
     }
     if (at_rest) {
-        BeamMatch moved = match_beams(at_rest->seen.slope, at_rest->seen.range_m, table);
+        BeamMatch moved = match_beams(at_rest->directions.slope, at_rest->directions.range_m, table);
         if (moved.excess > match.excess) match = std::move(moved);
     }
     if (match.excess < EXPLAINED) return std::nullopt;

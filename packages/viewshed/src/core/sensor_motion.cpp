@@ -49,11 +49,11 @@ constexpr double COARSE_STEP_M = 0.1, FINE_STEP_M = 0.05;
 constexpr double SHARP = 0.8, SMOOTH = 0.26;
 
 // Fixed-point iterations between the azimuth at which a point was measured and the sensor's position at that time.
-constexpr int TIMES = 3;
+constexpr int ITERATIONS = 3;
 
 constexpr std::size_t PART = 16384;
 
-using Way = std::array<double, 3>;
+using Vector = std::array<double, 3>;
 
 // Return the fraction of a turn from the sensor at the origin to an azimuth.
 INLINE float turn_at(float azimuth, float seam, float reference) {
@@ -62,13 +62,13 @@ INLINE float turn_at(float azimuth, float seam, float reference) {
 }
 
 // Write the fraction of the turn at which points were measured, by their azimuth, and then their measured x and y.
-MULTIVERSION void step_back(const float* x, const float* y, std::size_t count, const float* way_m, float seam,
+MULTIVERSION void step_back(const float* x, const float* y, std::size_t count, const float* shift_m, float seam,
                             float reference, float* u, float* v, float* turn) {
     for (std::size_t k = 0; k < count; ++k) {
         const float part = turn_at(azimuth_of(v[k], u[k]), seam, reference);
         turn[k] = part;
-        u[k] = x[k] - part * way_m[0];
-        v[k] = y[k] - part * way_m[1];
+        u[k] = x[k] - part * shift_m[0];
+        v[k] = y[k] - part * shift_m[1];
     }
 }
 
@@ -79,8 +79,8 @@ struct Returns {
 
 // Write the histogram bin of the sine of each elevation with a motion undone.
 MULTIVERSION void place_elevations(const float* x, const float* y, const float* z, const float* turn, std::size_t count,
-                                   const float* way_m, float half, float last, std::int32_t* position) {
-    const float dx = way_m[0], dy = way_m[1], dz = way_m[2];
+                                   const float* shift_m, float half, float last, std::int32_t* position) {
+    const float dx = shift_m[0], dy = shift_m[1], dz = shift_m[2];
     for (std::size_t k = 0; k < count; ++k) {
         const float u = x[k] - turn[k] * dx, v = y[k] - turn[k] * dy, w = z[k] - turn[k] * dz;
         const float at = (w / std::sqrt(u * u + v * v + w * w) + 1.0f) * half;
@@ -92,12 +92,12 @@ MULTIVERSION void place_elevations(const float* x, const float* y, const float* 
 
 // Return the concentration of the elevations of the first `count` returns with a motion undone: the histogram's sum of
 // squares.
-std::int64_t gather(const Returns& returns, std::size_t count, const Way& way_m, double bin_sine) {
+std::int64_t concentration(const Returns& returns, std::size_t count, const Vector& shift_m, double bin_sine) {
     constexpr auto MOST_BINS = std::size_t(2.0 / FINEST_BIN) + 1;
     const auto bins = std::size_t(2.0 / bin_sine) + 1;
-    const std::array<float, 3> way{float(way_m[0]), float(way_m[1]), float(way_m[2])};
+    const std::array<float, 3> shift{float(shift_m[0]), float(shift_m[1]), float(shift_m[2])};
     std::int32_t position[SAMPLE];
-    place_elevations(returns.x.data(), returns.y.data(), returns.z.data(), returns.turn.data(), count, way.data(),
+    place_elevations(returns.x.data(), returns.y.data(), returns.z.data(), returns.turn.data(), count, shift.data(),
                      float(0.5 * double(bins - 1)), float(bins - 1), position);
     std::uint16_t counts[MOST_BINS];
     std::fill_n(counts, bins, std::uint16_t{0});
@@ -107,27 +107,27 @@ std::int64_t gather(const Returns& returns, std::size_t count, const Way& way_m,
 }
 
 // The best displacement, and its concentration in the finest and in the widest bins.
-struct BestWay {
-    Way way_m;
+struct BestShift {
+    Vector shift_m;
     std::int64_t gathered, widely;
 };
 
-BestWay search(const Returns& returns) {
+BestShift search(const Returns& returns) {
     // 1. Coarse search on a few of the returns.
     const std::size_t count = returns.x.size();
     const std::size_t few = std::min(FEW, count);
-    Way way_m{};
-    std::int64_t best = gather(returns, few, way_m, COARSE_BIN);
+    Vector shift_m{};
+    std::int64_t best = concentration(returns, few, shift_m, COARSE_BIN);
     constexpr int STEPS = int(FARTHEST_M / STEP_M);
     for (int heading = 0; heading < HEADINGS; ++heading) {
         const double angle = heading * std::numbers::pi / HEADINGS;
         for (int k = -STEPS; k <= STEPS; ++k) {
             for (int climb = -1; climb <= 1; ++climb) {
-                const Way tried{k * STEP_M * std::cos(angle), k * STEP_M * std::sin(angle), k * STEP_M * climb * CLIMB};
-                const std::int64_t gathered = gather(returns, few, tried, COARSE_BIN);
+                const Vector candidate{k * STEP_M * std::cos(angle), k * STEP_M * std::sin(angle), k * STEP_M * climb * CLIMB};
+                const std::int64_t gathered = concentration(returns, few, candidate, COARSE_BIN);
                 if (gathered > best) {
                     best = gathered;
-                    way_m = tried;
+                    shift_m = candidate;
                 }
             }
         }
@@ -135,22 +135,22 @@ BestWay search(const Returns& returns) {
     // 2. Coordinate search on all of them, with ever smaller steps and bins.
     for (double step = STEP_M / 2; step > FINEST_M; step /= 2) {
         const double bin_sine = step > COARSE_STEP_M ? COARSE_BIN : step > FINE_STEP_M ? FINE_BIN : FINEST_BIN;
-        best = gather(returns, count, way_m, bin_sine);
+        best = concentration(returns, count, shift_m, bin_sine);
         for (int time = 0; time < IMPROVEMENTS; ++time) {
             const std::int64_t before = best;
             for (std::size_t k = 0; k < 6; ++k) {
-                Way tried = way_m;
-                tried[k / 2] += (k % 2 ? step : -step) * (k / 2 == 2 ? RISE : 1.0);
-                const std::int64_t gathered = gather(returns, count, tried, bin_sine);
+                Vector candidate = shift_m;
+                candidate[k / 2] += (k % 2 ? step : -step) * (k / 2 == 2 ? RISE : 1.0);
+                const std::int64_t gathered = concentration(returns, count, candidate, bin_sine);
                 if (gathered > best) {
                     best = gathered;
-                    way_m = tried;
+                    shift_m = candidate;
                 }
             }
             if (best == before) break;
         }
     }
-    return {way_m, best, gather(returns, count, way_m, COARSE_BIN)};
+    return {shift_m, best, concentration(returns, count, shift_m, COARSE_BIN)};
 }
 
 // Return a random sample of the returns beyond 2 m.
@@ -180,7 +180,7 @@ std::optional<SensorMotion> find_motion(View2<const float> points) {
     double sharpest = 0.0;
     for (const double seam : SEAMS) {
         // Search all references in parallel; among equal results the first counts.
-        std::array<BestWay, REFERENCES.size()> found;
+        std::array<BestShift, REFERENCES.size()> found;
         for_ranges(found.size(), std::min(found.size(), threads()), [&](std::size_t, std::size_t begin, std::size_t end) {
             for (std::size_t k = begin; k < end; ++k) {
                 Returns returns = sample;
@@ -191,7 +191,7 @@ std::optional<SensorMotion> find_motion(View2<const float> points) {
         for (std::size_t k = 0; k < found.size(); ++k) {
             sharpest = std::max(sharpest, double(found[k].gathered) / double(found[k].widely));
             if (found[k].gathered > most) {
-                best = SensorMotion{found[k].way_m, seam, REFERENCES[k]};
+                best = SensorMotion{found[k].shift_m, seam, REFERENCES[k]};
                 most = found[k].gathered;
             }
             if (sharpest > SHARP) return best;
@@ -202,7 +202,7 @@ std::optional<SensorMotion> find_motion(View2<const float> points) {
 }
 
 void undo_motion(View2<const float> points, const SensorMotion& motion, View2<float> measured) {
-    const std::array<float, 3> way_m{float(motion.way_m[0]), float(motion.way_m[1]), float(motion.way_m[2])};
+    const std::array<float, 3> shift_m{float(motion.shift_m[0]), float(motion.shift_m[1]), float(motion.shift_m[2])};
     for_ranges(points.rows, count_parts(points.rows, PART), [&](std::size_t, std::size_t begin, std::size_t end) {
         float x[BLOCK], y[BLOCK], u[BLOCK], v[BLOCK], turn[BLOCK];
         for (std::size_t start = begin; start < end; start += BLOCK) {
@@ -211,13 +211,13 @@ void undo_motion(View2<const float> points, const SensorMotion& motion, View2<fl
                 u[k] = x[k] = points(start + k, 0);
                 v[k] = y[k] = points(start + k, 1);
             }
-            for (int time = 0; time < TIMES; ++time) {
-                step_back(x, y, size, way_m.data(), float(motion.seam), float(motion.reference), u, v, turn);
+            for (int time = 0; time < ITERATIONS; ++time) {
+                step_back(x, y, size, shift_m.data(), float(motion.seam), float(motion.reference), u, v, turn);
             }
             for (std::size_t k = 0; k < size; ++k) {
                 measured(start + k, 0) = u[k];
                 measured(start + k, 1) = v[k];
-                measured(start + k, 2) = points(start + k, 2) - turn[k] * way_m[2];
+                measured(start + k, 2) = points(start + k, 2) - turn[k] * shift_m[2];
             }
         }
     });

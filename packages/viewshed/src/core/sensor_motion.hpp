@@ -11,7 +11,7 @@ namespace viewshed {
 // Uniform motion during one counter-clockwise revolution: displacement from begin to end in the frame of the points;
 // azimuth of begin and end; and the fraction of the turn at which the sensor was at the origin.
 struct SensorMotion {
-    std::array<double, 3> way_m;
+    std::array<double, 3> shift_m;
     double seam, reference;
 };
 

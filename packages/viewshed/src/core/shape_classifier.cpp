@@ -11,7 +11,7 @@ namespace viewshed {
 namespace {
 
 // Standardized shapes are clipped to this, so that an unseen one does not dominate.
-constexpr float MOST = 6.0f;
+constexpr float MAX_DEVIATIONS = 6.0f;
 
 // Fewest candidates for which a part pays for its thread.
 constexpr std::size_t PART = 128;
@@ -39,7 +39,7 @@ void classify_shapes(View2<const float> shapes, const ShapeNetwork& network, Vie
             const float* row = shapes[n];
             for (std::size_t k = 0; k < inputs; ++k) {
                 const float value = (row[k] - network.mean[k]) * network.scale[k];
-                one[k] = value > -MOST ? (value < MOST ? value : MOST) : -MOST;
+                one[k] = value > -MAX_DEVIATIONS ? (value < MAX_DEVIATIONS ? value : MAX_DEVIATIONS) : -MAX_DEVIATIONS;
             }
             apply(one.data(), network.layers[0], true, other.data());
             apply(other.data(), network.layers[1], true, one.data());

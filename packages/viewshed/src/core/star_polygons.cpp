@@ -219,8 +219,8 @@ std::vector<StarVertex> star_vertices(View1<const double> ranges, double price_m
     // 1. Draft: start at the shortest range, with its largest candidate.
     Vertex start{std::size_t(std::min_element(ranges.begin(), ranges.end()) - ranges.begin()), 0};
     const auto& first = profile.radii[start.ray];
-    const double most = std::min(profile.before(start.ray), ranges[start.ray]) * (1 + 1e-9);
-    const auto found = std::lower_bound(first.begin(), first.end(), most) - first.begin();
+    const double max_radius = std::min(profile.before(start.ray), ranges[start.ray]) * (1 + 1e-9);
+    const auto found = std::lower_bound(first.begin(), first.end(), max_radius) - first.begin();
     start.candidate = found > 0 ? std::size_t(found - 1) : CANDIDATES - 1;
     std::vector<Vertex> chain = BestChain(profile, price_m2, start).vertices();
     if (chain.size() < 3) return {};

@@ -12,8 +12,8 @@ namespace {
 constexpr float NONE = std::numeric_limits<float>::infinity();
 
 // Height limits of obstacles above the ground; at most MAX_OBSTACLES of a sweep are compared.
-constexpr float LEAST_HEIGHT_M = 0.3f, MOST_HEIGHT_M = 3.0f;
-constexpr std::size_t MOST_OBSTACLES = 2200;
+constexpr float MIN_HEIGHT_M = 0.3f, MAX_HEIGHT_M = 3.0f;
+constexpr std::size_t MAX_OBSTACLES = 2200;
 
 // Number of azimuth directions for the free distance.
 constexpr int DIRECTIONS = 360;
@@ -27,13 +27,13 @@ constexpr float SAME_M = 0.5f, SAME_SHARE = 0.02f, BEYOND_M = 1.0f, BEYOND_SHARE
 
 // Half width of the free passage around a place, and the most columns to either side.
 constexpr float HALF_WIDTH_M = 0.4f;
-constexpr int MOST_COLUMNS = 4;
+constexpr int MAX_COLUMNS = 4;
 
 // Fewest returns beyond a place for free passage, in total and in its own ring.
-constexpr int LEAST_BEYOND = 4, LEAST_IN_RING = 2;
+constexpr int MIN_BEYOND = 4, MIN_IN_RING = 2;
 
 // Share of the returns around a place that must lie beyond it if most beams pass.
-constexpr float MOST_BEYOND = 0.6f;
+constexpr float PASSED_SHARE = 0.6f;
 
 // A return farther than this from its neighbors lies on another surface.
 constexpr float NEAR_M = 1.0f;
@@ -86,9 +86,9 @@ SweepView::SweepView(View2<const float> squared_m2, View1<const float> phase, Vi
     constexpr float per_rad = float(DIRECTIONS) / (2 * PI);
     for (std::size_t n = 0; n < points.rows; ++n) {
         const auto direction = std::size_t(bin_of((azimuth[n] + PI) * per_rad, DIRECTIONS));
-        if (height_m[n] <= LEAST_HEIGHT_M) {
+        if (height_m[n] <= MIN_HEIGHT_M) {
             ground_m[direction] = std::max(ground_m[direction], range_m[n]);
-        } else if (height_m[n] < MOST_HEIGHT_M) {
+        } else if (height_m[n] < MAX_HEIGHT_M) {
             cover_m_[direction] = std::min(cover_m_[direction], range_m[n]);
             if (!isolated[n]) rows.push_back(n);
         }
@@ -96,7 +96,7 @@ SweepView::SweepView(View2<const float> squared_m2, View1<const float> phase, Vi
     for (std::size_t k = 0; k < DIRECTIONS; ++k) {
         if (cover_m_[k] == NONE) cover_m_[k] = ground_m[k];
     }
-    obstacle_step_ = rows.size() / MOST_OBSTACLES + 1;
+    obstacle_step_ = rows.size() / MAX_OBSTACLES + 1;
     obstacles_.reserve(rows.size() / obstacle_step_ + 1);
     // Sample one of each step at random: a fixed one would select certain rings or columns only.
     std::uint32_t random = 1;
@@ -145,7 +145,7 @@ Seen SweepView::look_at(Point3 p) const {
     // Check the ring at the place and the one above, over a width of HALF_WIDTH_M to either side. The ring below may
     // hit the ground.
     const float step_m = pixel.range_m * (2 * PI / float(columns_));
-    const int half = std::clamp(int(std::ceil(HALF_WIDTH_M / step_m)), 1, MOST_COLUMNS);
+    const int half = std::clamp(int(std::ceil(HALF_WIDTH_M / step_m)), 1, MAX_COLUMNS);
     const float beyond_m = pixel.range_m + BEYOND_M + BEYOND_SHARE * pixel.range_m;
     int returns = 0, beyond = 0, beyond_in_ring = 0;
     float nearest_m = NONE, farthest_m = 0.0f;
@@ -163,7 +163,7 @@ Seen SweepView::look_at(Point3 p) const {
     }
     if (returns == 0) return Seen::UNKNOWN;
     if (nearest_m <= pixel.range_m + same_m && farthest_m >= pixel.range_m - same_m) return Seen::OCCUPIED;
-    if (beyond == returns && beyond >= LEAST_BEYOND && beyond_in_ring >= LEAST_IN_RING) return Seen::FREE;
+    if (beyond == returns && beyond >= MIN_BEYOND && beyond_in_ring >= MIN_IN_RING) return Seen::FREE;
     return Seen::UNKNOWN;
 }
 
@@ -171,7 +171,7 @@ bool SweepView::is_passed(Point3 p) const {
     const Pixel pixel = pixel_of(p);
     if (pixel.ring < 0) return false;
     const float step_m = pixel.range_m * (2 * PI / float(columns_));
-    const int half = std::clamp(int(std::ceil(HALF_WIDTH_M / step_m)), 1, MOST_COLUMNS);
+    const int half = std::clamp(int(std::ceil(HALF_WIDTH_M / step_m)), 1, MAX_COLUMNS);
     const float beyond_m = pixel.range_m + BEYOND_M + BEYOND_SHARE * pixel.range_m;
     const float* row = ring(std::size_t(pixel.ring));
     int returns = 0, beyond = 0;
@@ -180,7 +180,7 @@ bool SweepView::is_passed(Point3 p) const {
         returns += range_m < NONE;
         beyond += range_m > beyond_m && range_m < NONE;
     }
-    return beyond >= 2 && beyond >= MOST_BEYOND * float(returns);
+    return beyond >= 2 && beyond >= PASSED_SHARE * float(returns);
 }
 
 float SweepView::range_difference(Point3 p) const {
@@ -208,21 +208,21 @@ float SweepView::distance_to_cover(Point3 p) const {
     const Point3 level = leveled(p);
     const float range_m = std::sqrt(level.x * level.x + level.y * level.y);
     const int middle = direction_of(level);
-    float least = std::min(cover_m_[std::size_t(middle)] - range_m, range_m - BLIND_M);
+    float nearest_cover_m = std::min(cover_m_[std::size_t(middle)] - range_m, range_m - BLIND_M);
     // Search directions to either side until the distance to their lines exceeds the minimum.
-    for (int k = 1; k <= DIRECTIONS / 2 && least > 0.0f; ++k) {
+    for (int k = 1; k <= DIRECTIONS / 2 && nearest_cover_m > 0.0f; ++k) {
         const float turn = float(k) * (2 * PI / float(DIRECTIONS));
         const float aside = k < DIRECTIONS / 4 ? range_m * std::sin(turn) : range_m;
-        if (aside >= least) break;
+        if (aside >= nearest_cover_m) break;
         const float along = range_m * std::cos(turn);
         for (const int direction : {middle - k, middle + k}) {
             const float cover_m = cover_m_[std::size_t((direction + DIRECTIONS) % DIRECTIONS)];
             const float ahead = std::max(cover_m - along, 0.0f);
             const float across = range_m * std::sin(turn);
-            least = std::min(least, std::sqrt(ahead * ahead + across * across));
+            nearest_cover_m = std::min(nearest_cover_m, std::sqrt(ahead * ahead + across * across));
         }
     }
-    return std::max(least, 0.0f);
+    return std::max(nearest_cover_m, 0.0f);
 }
 
 }  // namespace viewshed

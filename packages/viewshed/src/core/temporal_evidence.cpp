@@ -13,7 +13,7 @@
 namespace viewshed {
 namespace {
 
-constexpr float NOT_KNOWN = std::numeric_limits<float>::quiet_NaN();
+constexpr float UNKNOWN_VALUE = std::numeric_limits<float>::quiet_NaN();
 
 // Fewest obstacles for which a part pays for its thread.
 constexpr std::size_t PART = 1000;
@@ -25,22 +25,22 @@ constexpr float FARTHEST_M = 45.0f;
 constexpr std::size_t RANK = 6;
 
 // Fewest obstacles of a sector for a meaningful median.
-constexpr std::size_t LEAST_OBSTACLES = 10;
+constexpr std::size_t MIN_OBSTACLES = 10;
 
 // A surface jumps as a whole: its returns must spread less than this.
-constexpr float MOST_SPREAD_M = 0.3f;
+constexpr float MAX_SPREAD_M = 0.3f;
 
 // Range changes of neighboring beams that are equal up to rounding, and that noise produces about uniformly;
 // EQUAL_OF_NOISE is the resulting share below EQUAL_M relative to the rest.
 constexpr float EQUAL_M = 0.00075f, NOISE_M = 0.00975f;
 constexpr float EQUAL_OF_NOISE = 0.25f;
-constexpr int LEAST_PAIRS = 60;
+constexpr int MIN_PAIRS = 60;
 
 // Registration: most returns used; gate distance from the surface in each round.
-constexpr std::size_t MOST_REGISTERED = 600;
+constexpr std::size_t MAX_REGISTERED = 600;
 constexpr std::array<float, 4> GATES_M{2.0f, 1.2f, 0.7f, 0.4f};
 constexpr int BASE_COLUMNS = 3;
-constexpr float LEAST_BASE_M = 0.04f, MOST_BEND_M = 0.08f, MATCH_M = 2.5f;
+constexpr float MIN_BASE_M = 0.04f, MAX_BEND_M = 0.08f, MATCH_M = 2.5f;
 
 // Follow an obstacle through other sweeps, the nearest in time first, while they see it in place. The first sweep that
 // sees free space there gives the speed from (or to) the nearest cover; 0 if none does.
@@ -110,10 +110,10 @@ void jumps(const SweepView& view, const Other& last, const Other& second, float 
     for (std::size_t s = 0; s < jump_m.size; ++s) {
         std::vector<float>& of_sector = differences[s];
         jump_m[s] = 0.0f;
-        if (of_sector.size() < LEAST_OBSTACLES) continue;
+        if (of_sector.size() < MIN_OBSTACLES) continue;
         const float jump = median_of(of_sector);
         for (float& difference : of_sector) difference = std::fabs(difference - jump);
-        if (median_of(of_sector) < MOST_SPREAD_M) jump_m[s] = std::fabs(jump);
+        if (median_of(of_sector) < MAX_SPREAD_M) jump_m[s] = std::fabs(jump);
     }
 }
 
@@ -151,7 +151,7 @@ void find_repeats(const SweepView& view, const SweepView& other, View1<float> sh
     for (std::size_t s = 0; s < share.size; ++s) {
         const auto [pairs, equal, noise] = counts[s];
         const float excess = float(equal) - EQUAL_OF_NOISE * float(noise - equal);
-        share[s] = pairs >= LEAST_PAIRS ? excess / float(pairs) : NOT_KNOWN;
+        share[s] = pairs >= MIN_PAIRS ? excess / float(pairs) : UNKNOWN_VALUE;
     }
 }
 
@@ -160,13 +160,13 @@ namespace {
 // Neighboring beams to each side in which a range is searched, and the change of range by the sensor's motion.
 constexpr int BESIDE = 3;
 constexpr float MOVED_M = 0.6f, MOVED_SHARE = 0.1f;
-constexpr int LEAST_IN_SECTOR = 20;
+constexpr int MIN_IN_SECTOR = 20;
 
 // Passing objects cover and uncover many beams from sweep to sweep: they may have moved this far across them.
 constexpr float PASSED_M = 1.5f;
 
 // Nearer surfaces fall silent as they come closer, and fill too many beams.
-constexpr float LEAST_SILENCED_M = 2.0f;
+constexpr float MIN_SILENCED_M = 2.0f;
 
 // Wrap a column from [-columns, 2 columns) into [0, columns).
 int wrapped(int column, int columns) { return column < 0 ? column + columns : column < columns ? column : column - columns; }
@@ -221,7 +221,7 @@ void find_new_ranges(const SweepView& view, const std::vector<const SweepView*>&
             if (!(range_m < 1e6f)) {
                 bool is_steady = true;
                 look_about(c, [&](float other_m) {
-                    is_steady = other_m < 1e6f && other_m > LEAST_SILENCED_M;
+                    is_steady = other_m < 1e6f && other_m > MIN_SILENCED_M;
                     return !is_steady;
                 });
                 steady[s] += is_steady;
@@ -251,7 +251,7 @@ void find_new_ranges(const SweepView& view, const std::vector<const SweepView*>&
             far[s] += !is_known && seen > 0 && is_far;
         }
     }
-    const auto share = [](int count, int of) { return of >= LEAST_IN_SECTOR ? float(count) / float(of) : 0.0f; };
+    const auto share = [](int count, int of) { return of >= MIN_IN_SECTOR ? float(count) / float(of) : 0.0f; };
     for (std::size_t s = 0; s < nearer.size; ++s) {
         nearer[s] = share(near[s], returns[s]);
         farther[s] = share(far[s], returns[s]);
@@ -308,7 +308,7 @@ float range_noise(View2<const float> points, float step_share, float step_m, std
         if (is_smooth && was_smooth) bends.push_back(std::fabs(this_step_m - last_step_m));
         last_m = range_m, last_step_m = this_step_m, was_smooth = is_smooth;
     }
-    if (bends.size() < std::max(least, std::size_t{1})) return NOT_KNOWN;
+    if (bends.size() < std::max(least, std::size_t{1})) return UNKNOWN_VALUE;
     // Interpolate the quartile between two sorted values.
     const double place = 0.25 * double(bends.size() - 1);
     const auto low = bends.begin() + std::ptrdiff_t(place);
@@ -352,27 +352,27 @@ std::optional<Surface> surface_at(const SweepView& view, Point3 p) {
     const Point3 a = view.at(pixel.ring, before, row[before]), b = view.at(pixel.ring, after, row[after]);
     const Point3 q = view.at(pixel.ring, pixel.column, range_m);
     const double tx = b.x - a.x, ty = b.y - a.y, length = std::sqrt(tx * tx + ty * ty);
-    if (!(length > LEAST_BASE_M)) return std::nullopt;
+    if (!(length > MIN_BASE_M)) return std::nullopt;
     const double nx = -ty / length, ny = tx / length;
-    if (std::fabs(nx * (q.x - a.x) + ny * (q.y - a.y)) > MOST_BEND_M) return std::nullopt;
+    if (std::fabs(nx * (q.x - a.x) + ny * (q.y - a.y)) > MAX_BEND_M) return std::nullopt;
     return Surface{(a.x + b.x + q.x) / 3.0, (a.y + b.y + q.y) / 3.0, nx, ny};
 }
 
 }  // namespace
 
 Registration register_on(const SweepView& view, const SweepView& other, const Transform& other_from_view) {
-    Registration found;
+    Registration result;
     std::vector<float> residuals;
     const std::vector<Point3>& obstacles = view.obstacles();
-    const std::size_t every = obstacles.size() / MOST_REGISTERED + 1;
+    const std::size_t stride = obstacles.size() / MAX_REGISTERED + 1;
     for (const float gate_m : GATES_M) {
         std::array<double, 9> h{};
         std::array<double, 3> b{};
         residuals.clear();
-        const double c = std::cos(found.yaw), s = std::sin(found.yaw);
-        for (std::size_t n = 0; n < obstacles.size(); n += every) {
+        const double c = std::cos(result.yaw), s = std::sin(result.yaw);
+        for (std::size_t n = 0; n < obstacles.size(); n += stride) {
             const Point3 p = other_from_view(obstacles[n]);
-            const double x = c * p.x - s * p.y + found.x_m, y = s * p.x + c * p.y + found.y_m;
+            const double x = c * p.x - s * p.y + result.x_m, y = s * p.x + c * p.y + result.y_m;
             const auto surface = surface_at(other, {float(x), float(y), p.z});
             if (!surface) continue;
             const double residual = surface->nx * (x - surface->x) + surface->ny * (y - surface->y);
@@ -387,17 +387,17 @@ Registration register_on(const SweepView& view, const SweepView& other, const Tr
             residuals.push_back(float(std::fabs(residual)));
         }
         // A weak prior keeps directions that are not observed at their given value.
-        std::array<double, 9> held = h;
-        held[0] += 10.0;
-        held[4] += 1.0;
-        held[8] += 1.0;
+        std::array<double, 9> regularized = h;
+        regularized[0] += 10.0;
+        regularized[4] += 1.0;
+        regularized[8] += 1.0;
         std::array<double, 3> step{};
-        if (residuals.empty() || !solve(held, b, step)) return Registration{};
+        if (residuals.empty() || !solve(regularized, b, step)) return Registration{};
         const double turned = std::clamp(step[0], -0.2, 0.2), c1 = std::cos(turned), s1 = std::sin(turned);
-        const double x_m = c1 * found.x_m - s1 * found.y_m + step[1], y_m = s1 * found.x_m + c1 * found.y_m + step[2];
-        found = {found.yaw + turned, x_m, y_m, h, 1.4826 * median_of(residuals), residuals.size()};
+        const double x_m = c1 * result.x_m - s1 * result.y_m + step[1], y_m = s1 * result.x_m + c1 * result.y_m + step[2];
+        result = {result.yaw + turned, x_m, y_m, h, 1.4826 * median_of(residuals), residuals.size()};
     }
-    return found;
+    return result;
 }
 
 }  // namespace viewshed

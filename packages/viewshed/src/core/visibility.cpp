@@ -201,11 +201,11 @@ struct SortedBeams {
             std::uint32_t* const next = &counts[part * BUCKETS];
             std::int32_t last[COUNT][BLOCK];
             for (std::size_t n = size * part / parts, end = size * (part + 1) / parts; n < end; n += BLOCK) {
-                const std::size_t some = std::min(BLOCK, end - n);
+                const std::size_t block_size = std::min(BLOCK, end - n);
                 for (std::size_t d = 0; d < COUNT; ++d) {
-                    find_last_bins(depth_m[d].data + n, some, windows.cell_m, float(windows.bins - 1), last[d]);
+                    find_last_bins(depth_m[d].data + n, block_size, windows.cell_m, float(windows.bins - 1), last[d]);
                 }
-                for (std::size_t k = 0; k < some; ++k) {
+                for (std::size_t k = 0; k < block_size; ++k) {
                     Beam<COUNT>& beam = beams[next[column[n + k]]++];
                     beam.slope = slope[n + k];
                     for (std::size_t d = 0; d < COUNT; ++d) beam.last[d] = last[d][k];
@@ -273,11 +273,11 @@ INLINE void transpose(Four& a, Four& b, Four& c, Four& d) {
 
 // Convert four counts to float and reset them to 0.
 INLINE void take_counts(std::int32_t* counts, Four& taken) {
-    typedef std::int32_t Whole __attribute__((vector_size(sizeof(Four))));
-    Whole whole;
-    std::memcpy(&whole, counts, sizeof(whole));
-    taken = __builtin_convertvector(whole, Four);
-    std::memset(counts, 0, sizeof(whole));
+    typedef std::int32_t Ints __attribute__((vector_size(sizeof(Four))));
+    Ints ints;
+    std::memcpy(&ints, counts, sizeof(ints));
+    taken = __builtin_convertvector(ints, Four);
+    std::memset(counts, 0, sizeof(ints));
 }
 
 // Add the beams of a sector to a histogram of their slopes.

@@ -47,7 +47,7 @@ Lows lows_of(const In3<float>& points, const In2<float>& rise_m, double half_m) 
                 "lows_m must lie on the lattice");
         lows.x_m[at] = x;
         lows.y_m[at] = y;
-        lows.some.push_back(std::int32_t(at));
+        lows.occupied.push_back(std::int32_t(at));
     }
     return lows;
 }

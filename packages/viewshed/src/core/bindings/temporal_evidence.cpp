@@ -38,24 +38,24 @@ Transform bounded(const Transform& transform) {
 std::vector<Transform> transforms_of(const std::vector<const SweepView*>& views, const In3<float>& transforms) {
     require(transforms.shape(0) == views.size() && transforms.shape(1) == 3 && transforms.shape(2) == 4,
             "transforms must have shape (K, 3, 4), one for each view");
-    std::vector<Transform> each;
+    std::vector<Transform> result;
     for (std::size_t k = 0; k < views.size(); ++k) {
         require(views[k] != nullptr, "views must be views");
-        each.push_back(transform_of(transforms.data() + 12 * k));
+        result.push_back(transform_of(transforms.data() + 12 * k));
     }
-    return each;
+    return result;
 }
 
 // Combine other sweeps with the transforms (K, 3, 4)to their frames and the seconds to the sweep before.
 std::vector<Other> others_of(const std::vector<const SweepView*>& views, const In3<float>& transforms,
                              const In1<float>& gaps_s) {
-    const std::vector<Transform> to_each = transforms_of(views, transforms);
+    const std::vector<Transform> transforms_to_views = transforms_of(views, transforms);
     require(gaps_s.shape(0) == views.size(), "gaps_s must have one value for each view");
     std::vector<Other> others;
     for (std::size_t k = 0; k < views.size(); ++k) {
         const float gap_s = read_once(view(gaps_s), k);
         require(std::isfinite(gap_s) && gap_s > 0.0f, "gaps_s must be positive");
-        others.push_back({views[k], to_each[k], gap_s});
+        others.push_back({views[k], transforms_to_views[k], gap_s});
     }
     return others;
 }
@@ -101,9 +101,9 @@ void bind_temporal_evidence(nb::module_& m) {
                In1<float> gaps_s, const SweepView& around, In2<float> around_from_self, std::size_t sectors) {
                 require(sectors >= 1 && sectors <= 3600, "sectors must lie in [1, 3600]");
                 const std::vector<Other> others = others_of(views, transforms, gaps_s);
-                const Transform placed = transform_of(around_from_self);
+                const Transform transform = transform_of(around_from_self);
                 Buffer<float> speed_mps(sectors);
-                without_lock([&] { follow_all(self, others, around, placed, speed_mps); });
+                without_lock([&] { follow_all(self, others, around, transform, speed_mps); });
                 return array(std::move(speed_mps));
             },
             "views"_a, "transforms"_in, "gaps_s"_in, "around"_a, "around_from_self"_in, "sectors"_a,
@@ -168,11 +168,11 @@ void bind_temporal_evidence(nb::module_& m) {
         .def(
             "register_on",
             [](const SweepView& self, const std::vector<const SweepView*>& views, In3<float> transforms) {
-                const std::vector<Transform> to_each = transforms_of(views, transforms);
+                const std::vector<Transform> transforms_to_views = transforms_of(views, transforms);
                 std::vector<Registration> found(views.size());
                 without_lock([&] {
                     for_ranges(views.size(), views.size(), [&](std::size_t, std::size_t begin, std::size_t end) {
-                        for (std::size_t k = begin; k < end; ++k) found[k] = register_on(self, *views[k], to_each[k]);
+                        for (std::size_t k = begin; k < end; ++k) found[k] = register_on(self, *views[k], transforms_to_views[k]);
                     });
                 });
                 Buffer<double> step(3 * views.size()), information(9 * views.size()), sigma_m(views.size());
@@ -230,11 +230,11 @@ void bind_temporal_evidence(nb::module_& m) {
                std::size_t sectors) {
                 require(sectors >= 1 && sectors <= 3600, "sectors must lie in [1, 3600]");
                 require(std::isfinite(t_s), "t_s must be finite");
-                const Transform placed = bounded(transform_of(now_from_memory));
+                const Transform transform = bounded(transform_of(now_from_memory));
                 const std::vector<Other> earlier = others_of(views, transforms, gaps_s);
                 // Keep the GIL: another thread may add a sweep to the memory.
                 Buffer<float> gone_m(sectors), new_m2(sectors);
-                self.check(now, placed, t_s, earlier, gone_m, new_m2);
+                self.check(now, transform, t_s, earlier, gone_m, new_m2);
                 return tuple_of(array(std::move(gone_m)), array(std::move(new_m2)));
             },
             "now"_a, "now_from_memory"_in, "t_s"_a, "views"_a, "transforms"_in, "gaps_s"_in, "sectors"_a,

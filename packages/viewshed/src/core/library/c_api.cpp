@@ -23,9 +23,9 @@ namespace {
 
 using namespace viewshed;
 
-constexpr std::size_t MOST_POINTS = 20'000'000, MOST_STEP = 1 << 20, MOST_CELLS = 4096, MOST_RETURNS = 10'000;
-constexpr int MOST_RINGS = 4096;
-constexpr double MOST_HEIGHT_M = 100.0, MOST_EXTENT_M = 1e4, UNIT_TOLERANCE = 1e-3;
+constexpr std::size_t MAX_POINTS = 20'000'000, MAX_STEP = 1 << 20, MAX_CELLS = 4096, MAX_RETURNS = 10'000;
+constexpr int MAX_RINGS = 4096;
+constexpr double MAX_HEIGHT_M = 100.0, MAX_EXTENT_M = 1e4, UNIT_TOLERANCE = 1e-3;
 
 // A stream: its estimator, and the expected sensor of the next sweep.
 struct Stream {
@@ -121,10 +121,10 @@ struct Rows {
 Rows rows_of(const viewshed_sweep& sweep, int rings) {
     const std::size_t step = sweep.point_step == 0 ? 3 * sizeof(float) : sweep.point_step;
     const std::size_t ring_step = sweep.ring_step == 0 ? sizeof(std::uint16_t) : sweep.ring_step;
-    require_that(sweep.count <= MOST_POINTS, "count must be at most 20 million points", sweep.count);
+    require_that(sweep.count <= MAX_POINTS, "count must be at most 20 million points", sweep.count);
     require_that(sweep.points != nullptr || sweep.count == 0, "points must not be null", "null");
-    require_that(step >= 3 * sizeof(float) && step <= MOST_STEP, "point_step must lie in [12, 1048576]", step);
-    require_that(ring_step >= sizeof(std::uint16_t) && ring_step <= MOST_STEP, "ring_step must lie in [2, 1048576]", ring_step);
+    require_that(step >= 3 * sizeof(float) && step <= MAX_STEP, "point_step must lie in [12, 1048576]", step);
+    require_that(ring_step >= sizeof(std::uint16_t) && ring_step <= MAX_STEP, "ring_step must lie in [2, 1048576]", ring_step);
     Rows rows{0, Buffer<float>(3 * sweep.count), std::nullopt};
     if (sweep.ring != nullptr) rows.ring.emplace(sweep.count);
     const auto* point = static_cast<const unsigned char*>(sweep.points);
@@ -169,24 +169,24 @@ viewshed_status viewshed_open(const viewshed_options* options, viewshed_stream* 
         *stream = 0;
         require_that(options != nullptr, "options must not be null", "null");
         const viewshed_options o = *options;
-        require_that(o.cells >= 1 && o.cells <= MOST_CELLS, "cells must lie in [1, 4096]", o.cells);
-        require_that(o.half_extent_m >= 0.01 && o.half_extent_m <= MOST_EXTENT_M, "half_extent_m must lie in [0.01, 10000]", o.half_extent_m);
+        require_that(o.cells >= 1 && o.cells <= MAX_CELLS, "cells must lie in [1, 4096]", o.cells);
+        require_that(o.half_extent_m >= 0.01 && o.half_extent_m <= MAX_EXTENT_M, "half_extent_m must lie in [0.01, 10000]", o.half_extent_m);
         for (const double offset : o.offset_m) {
-            require_that(std::fabs(offset) <= MOST_EXTENT_M, "offset_m must lie within 10000 m", offset);
+            require_that(std::fabs(offset) <= MAX_EXTENT_M, "offset_m must lie within 10000 m", offset);
         }
         const auto is_size = [](double size) { return size > 0.0 && size <= 100.0; };
         require_that(is_size(o.target_width_m), "target_width_m must lie in (0, 100]", o.target_width_m);
         require_that(is_size(o.target_height_m), "target_height_m must lie in (0, 100]", o.target_height_m);
-        require_that(o.min_returns >= 1 && o.min_returns <= MOST_RETURNS, "min_returns must lie in [1, 10000]", o.min_returns);
+        require_that(o.min_returns >= 1 && o.min_returns <= MAX_RETURNS, "min_returns must lie in [1, 10000]", o.min_returns);
         const std::string name = o.sensor == nullptr ? "" : std::string(o.sensor, strnlen(o.sensor, 64));
         const SensorModel* const model = find_sensor(name);
         require_that(model != nullptr || o.sensor == nullptr || name == "none",
                      "sensor must be null, \"none\", or a beam table as vlp16 or hdl32e", name);
-        auto made = std::make_shared<Stream>(BevGrid{o.cells, o.half_extent_m, o.offset_m[0], o.offset_m[1]},
+        auto opened = std::make_shared<Stream>(BevGrid{o.cells, o.half_extent_m, o.offset_m[0], o.offset_m[1]},
                                              Target{o.target_width_m, o.target_height_m, int(o.min_returns)}, model,
                                              name != "none");
         const std::lock_guard lock(streams_mutex);
-        streams.emplace(last_stream + 1, std::move(made));
+        streams.emplace(last_stream + 1, std::move(opened));
         *stream = ++last_stream;
     });
 }
@@ -199,13 +199,13 @@ viewshed_status viewshed_estimate(viewshed_stream stream, const viewshed_sweep* 
         require_that(state != nullptr, "state must not be null", "null");
         require_that(cells == of->estimator.grid().size(), "cells must be those of the stream's grid, cells * cells", cells);
         const viewshed_sweep s = *sweep;
-        const Rows rows = rows_of(s, of->model == nullptr ? MOST_RINGS : int(of->model->beams.rings()));
+        const Rows rows = rows_of(s, of->model == nullptr ? MAX_RINGS : int(of->model->beams.rings()));
         SweepInput input{{rows.points.data(), rows.count, 3}, std::nullopt, of->model, of->infers_sensor,
                          std::nullopt, std::nullopt, std::nullopt};
         if (rows.ring) input.ring = View1<const std::int16_t>{rows.ring->data(), rows.count};
         if (s.attitude != nullptr) input.attitude = rotation_of(s.attitude);
         if (!std::isnan(s.sensor_height_m)) {
-            require_that(s.sensor_height_m > 0.0 && s.sensor_height_m < MOST_HEIGHT_M, "sensor_height_m must lie in (0, 100)",
+            require_that(s.sensor_height_m > 0.0 && s.sensor_height_m < MAX_HEIGHT_M, "sensor_height_m must lie in (0, 100)",
                          s.sensor_height_m);
             input.height_m = s.sensor_height_m;
         }
