@@ -13,19 +13,19 @@ namespace {
 
 constexpr double TURN = 2 * std::numbers::pi, INFINITE = std::numeric_limits<double>::infinity();
 
-// Lines of sight to a box: parts of its width as the sensor sees it. A line that hardly turns along a side never leaves it.
+// Lines of sight to a box, as fractions of its angular width; LEAST_SLOPE bounds the division for lines along a side.
 constexpr std::array<double, 5> SIGHTS{0.1, 0.3, 0.5, 0.7, 0.9};
 constexpr double LEAST_SLOPE = 1e-9;
 
-// Surfaces are seen from different sides, and lie a cell or two apart: all about one must be free to deny it.
-constexpr double ABOUT_M = 1.0;
+// Different sides of one surface may lie a cell or two apart: deny it only if all cells within this distance are free.
+constexpr double AROUND_M = 1.0;
 
-// Sectors of a view, to how many on each side a near surface reaches, and how far before it ground is surely open.
-constexpr int SECTORS = 180, WIDEST = 6;
+// Sectors of a view; most sectors to each side covered by a near surface; margin before a surface.
+constexpr int SECTORS = 180, MAX_WIDENING = 6;
 constexpr double BEFORE_M = 0.5;
 
-// Coordinates in cells beyond this are taken for the origin: nothing is there.
-constexpr double MOST_CELLS = 1e9;
+// Cell coordinates beyond this become 0; nothing lies there.
+constexpr double MAX_CELLS = 1e9;
 
 bool is_visible(std::uint8_t state) { return state == FREE || state == SURFACE; }
 
@@ -34,7 +34,7 @@ double wrapped(double angle) {
     return (turned < 0 ? turned + TURN : turned) - std::numbers::pi;
 }
 
-// The range at which a line that gains `slope` a meter comes within `half_m` of `middle_m`.
+// Return the range at which a line with `slope` comes within `half_m` of `middle_m`.
 double entry_m(double slope, double middle_m, double half_m) {
     slope = std::fabs(slope) < LEAST_SLOPE ? LEAST_SLOPE : slope;
     return middle_m / slope - half_m / std::fabs(slope);
@@ -45,7 +45,7 @@ bool is_on(const ViewCells<std::uint8_t>& view, double x_m, double y_m) {
     return i >= 0 && i < double(view.values.rows) && j >= 0 && j < double(view.values.columns);
 }
 
-// The row or column of a coordinate, the nearest one beyond the edge.
+// Clamp a coordinate in cells to a valid row or column.
 std::size_t clamped(double at, std::size_t cells) {
     return at > 0 ? std::size_t(std::min(at, double(cells - 1))) : 0;
 }
@@ -60,7 +60,7 @@ std::size_t sector_of(double x_m, double y_m) {
     return sector >= 0 && sector < SECTORS ? std::size_t(sector) : 0;
 }
 
-// The nearest blocker of each sector, a cell wide, as wide as it looks from the sensor and one sector more.
+// Range of the nearest blocker of each sector. A blocker is one cell wide and covers one more sector than it subtends.
 class OpenRange {
 public:
     OpenRange() { first_m_.fill(INFINITE); }
@@ -73,7 +73,7 @@ public:
     void widen(double cell_m) {
         const auto narrow = first_m_;
         for (int sector = 0; sector < SECTORS; ++sector) {
-            for (int step = 1; step <= WIDEST; ++step) {
+            for (int step = 1; step <= MAX_WIDENING; ++step) {
                 if (step > 1 && !(narrow[std::size_t(sector)] * step * (TURN / SECTORS) <= cell_m)) break;
                 for (const int beside : {sector + step, sector + SECTORS - step}) {
                     double& first_m = first_m_[std::size_t(beside % SECTORS)];
@@ -91,23 +91,23 @@ private:
     std::array<double, SECTORS> first_m_;
 };
 
-// Where one of some points along a side lies: -1/2 to 1/2 of it.
+// Return the position of the k-th of `count` points along a side, from -1/2 to 1/2.
 double part_of_side(std::size_t k, std::size_t count) {
     return k + 1 == count ? 0.5 : double(k) * (1.0 / double(count - 1)) - 0.5;
 }
 
 std::int32_t map_step(double along_m, double cell_m, std::int32_t last) {
     const double at = std::floor(along_m / cell_m);
-    return std::fabs(at) < MOST_CELLS ? std::int32_t(at) & last : 0;
+    return std::fabs(at) < MAX_CELLS ? std::int32_t(at) & last : 0;
 }
 
-// Boxes are looked at a little larger than they are, and a meter around that.
+// Sampled margin of a box, and the width of the ring around it.
 constexpr double MARGIN_M = 0.25, RING_M = 1.0;
 
-// What lies this deep in a box, from the side toward the sensor, is its near side: a part of its depth, at least this many meters.
+// Depth of the near side of a box: a fraction of its depth, at least NEAR_M.
 constexpr double NEAR_PART = 0.4, NEAR_M = 0.8;
 
-// Of a box without a surface.
+// Depth of the first surface in a box that has none.
 constexpr double NO_SURFACE_M = 10.0;
 
 }  // namespace
@@ -135,7 +135,7 @@ void look_at_boxes(const ViewCells<std::uint8_t>& states, const UprightPose& pos
             depth_m[p] = (cosine * x - sine * y) * to_x + (sine * x + cosine * y) * to_y;
             nearest_m = std::min(nearest_m, depth_m[p]);
             farthest_m = std::max(farthest_m, depth_m[p]);
-            // The points of a box a meter larger that do not lie in the box itself.
+            // Sample the ring: points of a box a meter larger that lie outside the box itself.
             const double out_x = ahead * (box[3] + 2 * RING_M), out_y = left * (box[4] + 2 * RING_M);
             if (std::fabs(out_x) <= box[3] / 2 + MARGIN_M && std::fabs(out_y) <= box[4] / 2 + MARGIN_M) continue;
             const std::uint8_t about = state_of(box[0] + cosine * out_x - sine * out_y, box[1] + sine * out_x + cosine * out_y);
@@ -171,7 +171,7 @@ void visible_before(const ViewCells<float>& probability, View2<const double> box
         const double* box = boxes[k];
         const double x = box[0], y = box[1], long_m = box[3] / 2, wide_m = box[4] / 2, yaw = box[6];
         const double cosine = std::cos(yaw), sine = std::sin(yaw), middle = std::atan2(y, x);
-        // How wide the box looks.
+        // Angular width of the box.
         double low = INFINITE, high = -INFINITE;
         for (const double ahead : {long_m, -long_m}) {
             for (const double left : {wide_m, -wide_m}) {
@@ -180,7 +180,7 @@ void visible_before(const ViewCells<float>& probability, View2<const double> box
                 high = std::max(high, off);
             }
         }
-        // Each line enters at the later of its entries between front and back, and between the sides.
+        // Each line enters the box at the later of its two slab entries.
         const double ahead_m = cosine * x + sine * y, left_m = cosine * y - sine * x;
         double sum = 0.0;
         for (const double sight : SIGHTS) {
@@ -253,7 +253,7 @@ void compare_view(const ViewCells<std::uint8_t>& states, const ViewGround& groun
                   const Compared& where, View2<std::int32_t> counts) {
     std::fill_n(counts.data, counts.size(), 0);
     const double cosine = std::cos(pose.yaw), sine = std::sin(pose.yaw);
-    // Those cells of others that are near, ...
+    // 1. Cells of others within range.
     std::vector<std::size_t> near;
     std::vector<double> level;
     std::vector<float> at;
@@ -266,7 +266,7 @@ void compare_view(const ViewCells<std::uint8_t>& states, const ViewGround& groun
         level.insert(level.end(), {level_x, level_y});
         at.insert(at.end(), {float(level_x), float(level_y)});
     }
-    // ... and of those the ones on the same ground.
+    // 2. Keep cells at a similar ground height: count surfaces at once, collect free cells.
     const LatticePositions positions = lattice_positions({at.data(), near.size(), 2}, ground.half_extent_m, ground.heights_m.rows);
     Buffer<float> height_m(near.size());
     interpolate(ground.heights_m, positions.node, positions.down, positions.right, height_m);
@@ -286,8 +286,8 @@ void compare_view(const ViewCells<std::uint8_t>& states, const ViewGround& groun
         if (!is_on(states, x, y) || !is_visible(state_at(states, x, y))) continue;
         ++counts(0, owner);
         bool all_free = true;
-        for (const double dx : {-ABOUT_M, 0.0, ABOUT_M}) {
-            for (const double dy : {-ABOUT_M, 0.0, ABOUT_M}) all_free &= state_at(states, x + dx, y + dy) == FREE;
+        for (const double dx : {-AROUND_M, 0.0, AROUND_M}) {
+            for (const double dy : {-AROUND_M, 0.0, AROUND_M}) all_free &= state_at(states, x + dx, y + dy) == FREE;
         }
         counts(1, owner) += all_free;
     }

@@ -1,4 +1,4 @@
-// Arrays as the stages see them: views with shapes, and buffers. Nothing here or in a stage knows of Python.
+// Array views with shapes, and buffers. Nothing here or in a stage depends on Python.
 #pragma once
 
 #include <algorithm>
@@ -48,7 +48,7 @@ struct View3 {
     std::size_t size() const { return planes * rows * columns; }
 };
 
-// Memory without a value, aligned for vectors and used again: scratch of a stage, or a result.
+// Uninitialized, vector-aligned memory that is reused: scratch space or the result of a stage.
 template <typename T>
 class Buffer {
 public:
@@ -70,7 +70,7 @@ public:
     View1<T> view() { return {data(), size_}; }
     View2<T> view(std::size_t rows, std::size_t columns) { return {data(), rows, columns}; }
 
-    // Give the memory away; who takes it hands it back by give_memory.
+    // Release the memory to the caller, who returns it by give_memory.
     T* release() && { return data_.release(); }
 
 private:
@@ -86,23 +86,22 @@ private:
     std::unique_ptr<T[], Free> data_;
 };
 
-// Throw std::invalid_argument, which is a ValueError in Python, unless a rule holds.
+// Throw std::invalid_argument (ValueError in Python) unless a rule holds.
 inline void require(bool holds, const char* rule) {
     if (!holds) throw std::invalid_argument(rule);
 }
 
-// A copy of an array. Another thread may write an array while it is read: what is read twice, checked first and then used
-// above all, is read from a copy.
+// Copy an array. Read values twice (check, then use) only from a copy: another thread may write the original.
 template <typename T>
 Buffer<T> copy_of(View1<const T> values) {
     Buffer<T> copy(values.size);
     std::copy_n(values.data, values.size, copy.data());
-    std::atomic_signal_fence(std::memory_order_seq_cst);  // the compiler reads `values` no second time
+    std::atomic_signal_fence(std::memory_order_seq_cst);  // keeps the compiler from reading `values` again
     return copy;
 }
 
-// A copy of indices, all of which lie in [low, high]; throws std::invalid_argument where one does not. Block by block, so that what is
-// checked is still at hand.
+// Copy indices and check that all lie in [low, high]; throw std::invalid_argument otherwise. Works in blocks, so that
+// the values to check are still in cache.
 template <typename T>
 Buffer<T> indices_of(View1<const T> values, T low, T high, const char* name) {
     constexpr std::size_t CHECKED = 8192;
@@ -123,7 +122,7 @@ Buffer<T> indices_of(View1<const T> values, T low, T high, const char* name) {
     return copy;
 }
 
-// An element of an array that another thread may write: what is checked is what is used.
+// Read an element exactly once, so that the checked value is the used value even if another thread writes the array.
 template <typename T>
 T read_once(View1<const T> values, std::size_t k) {
     return *static_cast<const volatile T*>(&values[k]);

@@ -11,27 +11,26 @@
 namespace viewshed {
 namespace {
 
-// Numbers of bins that may be measured, and the one where the returns are too few to measure the sensor's step.
+// Candidate numbers of bins, and the default if there are too few returns to measure the sensor's step.
 constexpr std::array<std::size_t, 6> LADDER = {NARROWEST_BINS, 540, 360, 216, 180, 120};
 constexpr std::size_t FALLBACK_BINS = 360;
 
-// This share of the occupied bins must have a return in both neighbors.
+// Required share of occupied bins with returns in both neighbors.
 constexpr double FILLED_SHARE = 0.95;
 
 constexpr float NO_OBSTACLE = std::numeric_limits<float>::infinity(), NO_RETURN = -1.0f;
 
-// Neighbors in the order of a sweep mostly lie in the same bin. They go to this many tables in turn, so that none waits
-// until the one before is stored.
+// Tables filled in turn: consecutive returns mostly fall into the same bin, and would wait for the previous store.
 constexpr std::size_t TABLES = 4;
 
-// Returns, and cells, of a part that is worth a thread.
+// Fewest returns or cells for which a part pays for its thread.
 constexpr std::size_t PART = 16384;
 
-// Write the place of each return of a block in the tables.
-MULTIVERSION void find_places(const float* azimuth, std::size_t count, std::size_t bins, std::int32_t* place) {
+// Write the index of each return of a block in the tables.
+MULTIVERSION void find_places(const float* azimuth, std::size_t count, std::size_t bins, std::int32_t* slot) {
     const double per_rad = bins_per_rad(bins), last = double(bins - 1);
-    for (std::size_t k = 0; k < count; ++k) place[k] = azimuth_bin(azimuth[k], per_rad, last);
-    for (std::size_t k = 0; k < count; ++k) place[k] += std::int32_t(k % TABLES) * std::int32_t(bins);
+    for (std::size_t k = 0; k < count; ++k) slot[k] = azimuth_bin(azimuth[k], per_rad, last);
+    for (std::size_t k = 0; k < count; ++k) slot[k] += std::int32_t(k % TABLES) * std::int32_t(bins);
 }
 
 // Write the range of each return of a block that is an obstacle, +inf for the others.
@@ -43,7 +42,7 @@ MULTIVERSION void keep_obstacles(const float* range_m, const float* height_m, st
     }
 }
 
-// Insert a value into a row in which `before` orders, and drop the last one.
+// Insert a value into a row sorted by `before`, and drop the last one.
 template <typename Before>
 void insert(float* row, std::size_t size, float value, Before before) {
     if (!before(value, row[size - 1])) return;
@@ -65,22 +64,22 @@ std::size_t bins_filled(View1<const bool> occupied) {
         for (std::size_t b = 0; b < bins; ++b) {
             filled[b] = std::find(&occupied[b * width], &occupied[b * width] + width, true) != &occupied[b * width] + width;
         }
-        std::size_t some = 0, inner = filled[bins - 1] && filled[0] && filled[1];
+        std::size_t occupied_bins = 0, inner = filled[bins - 1] && filled[0] && filled[1];
         inner += filled[bins - 2] && filled[bins - 1] && filled[0];
-        for (std::size_t b = 0; b < bins; ++b) some += filled[b];
+        for (std::size_t b = 0; b < bins; ++b) occupied_bins += filled[b];
         for (std::size_t b = 1; b + 1 < bins; ++b) inner += filled[b - 1] & filled[b] & filled[b + 1];
-        if (double(inner) >= FILLED_SHARE * double(std::max<std::size_t>(some, 1))) return bins;
+        if (double(inner) >= FILLED_SHARE * double(std::max<std::size_t>(occupied_bins, 1))) return bins;
     }
     return FALLBACK_BINS;
 }
 
 std::size_t bins_filled_by(View1<const float> azimuth) {
     Buffer<bool> occupied(TABLES * NARROWEST_BINS, false);
-    std::int32_t place[BLOCK];
+    std::int32_t slot[BLOCK];
     for (std::size_t start = 0; start < azimuth.size; start += BLOCK) {
         const std::size_t size = std::min(BLOCK, azimuth.size - start);
-        find_places(&azimuth[start], size, NARROWEST_BINS, place);
-        for (std::size_t k = 0; k < size; ++k) occupied[std::size_t(place[k])] = true;
+        find_places(&azimuth[start], size, NARROWEST_BINS, slot);
+        for (std::size_t k = 0; k < size; ++k) occupied[std::size_t(slot[k])] = true;
     }
     for (std::size_t k = NARROWEST_BINS; k < occupied.size(); ++k) occupied[k % NARROWEST_BINS] |= occupied[k];
     return bins_filled({occupied.data(), NARROWEST_BINS});
@@ -90,24 +89,24 @@ BinRanges find_ranges(const LeveledReturns& returns, std::size_t bins) {
     if (bins == 0) return ranges_of_filled(returns, find_ranges(returns, NARROWEST_BINS));
     const std::size_t count = returns.azimuth.size, size = TABLES * bins;
     const bool has_heights = returns.height_m.size > 0;
-    // 1. Each part of the returns has tables of its own.
+    // 1. Fill separate tables for each part of the returns.
     const std::size_t parts = count_parts(count, PART);
     Buffer<float> farthest(parts * size, NO_RETURN), nearest(has_heights ? parts * size : 0, NO_OBSTACLE);
     for_ranges(count, parts, [&](std::size_t part, std::size_t begin, std::size_t end) {
         float *far = farthest.data() + part * size, *near = nearest.data() + part * size;
-        std::int32_t place[BLOCK];
+        std::int32_t slot[BLOCK];
         float obstacle_m[BLOCK];
         for (std::size_t start = begin; start < end; start += BLOCK) {
             const std::size_t block = std::min(BLOCK, end - start);
             const float* range_m = &returns.range_m[start];
-            find_places(&returns.azimuth[start], block, bins, place);
-            for (std::size_t k = 0; k < block; ++k) far[place[k]] = std::max(far[place[k]], range_m[k]);
+            find_places(&returns.azimuth[start], block, bins, slot);
+            for (std::size_t k = 0; k < block; ++k) far[slot[k]] = std::max(far[slot[k]], range_m[k]);
             if (!has_heights) continue;
             keep_obstacles(range_m, &returns.height_m[start], block, returns.low_m, returns.high_m, obstacle_m);
-            for (std::size_t k = 0; k < block; ++k) near[place[k]] = std::min(near[place[k]], obstacle_m[k]);
+            for (std::size_t k = 0; k < block; ++k) near[slot[k]] = std::min(near[slot[k]], obstacle_m[k]);
         }
     });
-    // 2. Maxima and minima over all tables do not depend on who found them.
+    // 2. Merge by maxima and minima, which do not depend on the parts.
     BinRanges found(bins);
     std::fill_n(found.farthest_m.data(), bins, NO_RETURN);
     std::fill_n(found.nearest_m.data(), bins, NO_OBSTACLE);
@@ -124,7 +123,7 @@ BinRanges ranges_of_filled(const LeveledReturns& returns, const BinRanges& narro
     Buffer<bool> occupied(NARROWEST_BINS);
     for (std::size_t b = 0; b < NARROWEST_BINS; ++b) occupied[b] = narrowest.farthest_m[b] >= 0.0f;
     const std::size_t bins = bins_filled(occupied), width = NARROWEST_BINS / bins;
-    // The edges of 216 bins are rounded to other numbers than those of 1080.
+    // The edges of 216 bins round differently from those of 1080.
     if (bins == 216) return find_ranges(returns, bins);
     BinRanges wide(bins);
     for (std::size_t b = 0; b < bins; ++b) {
@@ -162,7 +161,7 @@ void find_cells_within(View1<const float> limit_m, View1<const float> cell_range
                        View1<float> visible) {
     const std::size_t count = visible.size;
     for_ranges(count, count_parts(count, PART), [&](std::size_t, std::size_t begin, std::size_t end) {
-        // What is compared becomes vectors, what is looked up does not.
+        // The comparison vectorizes, the look-up does not: separate loops.
         float limit_of[BLOCK];
         for (std::size_t start = begin; start < end; start += BLOCK) {
             const std::size_t size = std::min(BLOCK, end - start);

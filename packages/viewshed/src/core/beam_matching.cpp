@@ -12,17 +12,17 @@
 namespace viewshed {
 namespace {
 
-// Equal cells of slope in which the nearest beam is looked up.
+// Size of the table from slope to nearest beam.
 constexpr std::size_t CELLS = 4096;
 
-// Largest distance of a return from its beam's elevation, in radians and in meters; in the next line, of a close one.
+// Largest distance of a return from its beam, in radians and in meters; below, of a close return.
 constexpr double OFF_RAD = 0.0026, OFF_M = 0.05;
 constexpr double CLOSE_RAD = 0.00175, CLOSE_M = 0.015;
 
-// Returns of a part that is worth a thread, and of a chunk whose chances are summed: sums do not depend on the parts.
+// Fewest returns for which a part pays for its thread; returns per chunk of summed chances (independent of the parts).
 constexpr std::size_t PART = 16384, CHUNK = 4096;
 
-MULTIVERSION void look_at_block(const float* points, std::size_t count, float* azimuth, float* slope, float* range_m) {
+MULTIVERSION void directions_of_block(const float* points, std::size_t count, float* azimuth, float* slope, float* range_m) {
     float x[BLOCK], y[BLOCK];
     for (std::size_t k = 0; k < count; ++k) {
         x[k] = points[3 * k];
@@ -35,10 +35,10 @@ MULTIVERSION void look_at_block(const float* points, std::size_t count, float* a
     for (std::size_t k = 0; k < count; ++k) azimuth[k] = azimuth_of(y[k], x[k]);
 }
 
-// Beams by the slope at which they are seen from far away.
+// Lookup of beams by their slope at infinite range.
 struct BySlope {
     std::vector<double> tangent;
-    std::array<std::int16_t, CELLS> first_beam;  // nearest to each of equal cells, from the lowest beam to the highest
+    std::array<std::int16_t, CELLS> first_beam;  // nearest beam of each slope cell
 
     explicit BySlope(const std::vector<double>& elevation) {
         for (const double angle : elevation) tangent.push_back(std::tan(angle));
@@ -51,71 +51,71 @@ struct BySlope {
     }
 };
 
-// Match the returns of one chunk; adds to `hits`, and returns how many were tried and how many would be close by chance.
+// Match the returns of one chunk; add to `hits`, and return the numbers of tested returns and of close ones by chance.
 std::pair<std::int64_t, double> match_chunk(View1<const float> slope, View1<const float> range_m, const BeamTable& table,
                                             const BySlope& by_slope, std::int16_t* ring, std::int64_t* hits) {
     const std::size_t rings = table.rings();
     const double *tangent = by_slope.tangent.data(), *origin_m = table.origin_m.data();
     const double lowest = tangent[0], per_slope = double(CELLS) / std::max(tangent[rings - 1] - lowest, 1e-6);
-    std::int64_t tried = 0;
+    std::int64_t tested = 0;
     double chance = 0.0;
     for (std::size_t n = 0; n < slope.size; ++n) {
         ring[n] = -1;
         const double r = range_m[n], t = slope[n];
         if (!(r > 0.0)) continue;
-        // 1. The nearest beam: the first guess, then from there while the next one is nearer.
+        // 1. Find the nearest beam: look up a first guess, then walk while the next one is nearer.
         const double per_m = 1.0 / r;
         const double cell = (t - table.mean_origin_m * per_m - lowest) * per_slope;
         auto best = std::size_t(by_slope.first_beam[cell > 0.0 ? std::size_t(std::min(cell, double(CELLS) - 1.0)) : 0]);
         const auto off = [&](std::size_t beam) { return std::abs(tangent[beam] + origin_m[beam] * per_m - t); };
         double error = off(best);
         while (best > 0) {
-            const double other = off(best - 1);
-            if (other >= error) break;
+            const double neighbor_error = off(best - 1);
+            if (neighbor_error >= error) break;
             --best;
-            error = other;
+            error = neighbor_error;
         }
         while (best + 1 < rings) {
-            const double other = off(best + 1);
-            if (other >= error) break;
+            const double neighbor_error = off(best + 1);
+            if (neighbor_error >= error) break;
             ++best;
-            error = other;
+            error = neighbor_error;
         }
-        // 2. Whether it is near enough, and whether it is close.
+        // 2. Test if it is near enough, and if it is close.
         error /= 1.0 + t * t;
         if (error < OFF_RAD + OFF_M * per_m) ring[n] = std::int16_t(best);
         if (r > double(NEAR_M)) {
             const double quarter = table.gap[best] / 4, close = std::min(quarter, CLOSE_RAD + CLOSE_M * per_m);
-            ++tried;
+            ++tested;
             chance += 0.5 * close / quarter;
             hits[best] += error <= close;
         }
     }
-    return {tried, chance};
+    return {tested, chance};
 }
 
 }  // namespace
 
 Directions directions_of(View2<const float> points) {
-    Directions seen(points.rows);
+    Directions directions(points.rows);
     for_ranges(points.rows, count_parts(points.rows, PART), [&](std::size_t, std::size_t begin, std::size_t end) {
         for (std::size_t start = begin; start < end; start += BLOCK) {
-            look_at_block(points[start], std::min(BLOCK, end - start), &seen.azimuth[start], &seen.slope[start],
-                          &seen.range_m[start]);
+            directions_of_block(points[start], std::min(BLOCK, end - start), &directions.azimuth[start], &directions.slope[start],
+                          &directions.range_m[start]);
         }
     });
-    return seen;
+    return directions;
 }
 
 Elevations elevations_of(View2<const float> points, const std::vector<std::uint32_t>& rows) {
-    Elevations seen{std::vector<float>(rows.size()), std::vector<float>(rows.size())};
+    Elevations directions{std::vector<float>(rows.size()), std::vector<float>(rows.size())};
     float xyz[3 * BLOCK], azimuth[BLOCK];
     for (std::size_t start = 0; start < rows.size(); start += BLOCK) {
         const std::size_t size = std::min(BLOCK, rows.size() - start);
         for (std::size_t k = 0; k < size; ++k) std::copy_n(points[rows[start + k]], 3, xyz + 3 * k);
-        look_at_block(xyz, size, azimuth, &seen.slope[start], &seen.range_m[start]);
+        directions_of_block(xyz, size, azimuth, &directions.slope[start], &directions.range_m[start]);
     }
-    return seen;
+    return directions;
 }
 
 BeamTable::BeamTable(std::vector<double> elevation_, std::vector<double> origin_m_, int columns_)
@@ -150,10 +150,10 @@ BeamMatch match_beams(View1<const float> slope, View1<const float> range_m, cons
                                    &match.ring[start], hits[part].data());
         }
     });
-    std::int64_t tried = 0, close = 0;
+    std::int64_t tested = 0, close = 0;
     double chance = 0.0;
     for (const auto& [of_chunk, by_chance] : found) {
-        tried += of_chunk;
+        tested += of_chunk;
         chance += by_chance;
     }
     for (const auto& of_part : hits) {
@@ -162,8 +162,8 @@ BeamMatch match_beams(View1<const float> slope, View1<const float> range_m, cons
             close += of_part[k];
         }
     }
-    if (tried > 0 && chance < double(tried)) {
-        match.excess = std::max(0.0, (double(close) - chance) / (double(tried) - chance));
+    if (tested > 0 && chance < double(tested)) {
+        match.excess = std::max(0.0, (double(close) - chance) / (double(tested) - chance));
     }
     return match;
 }

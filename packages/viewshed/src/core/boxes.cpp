@@ -11,20 +11,20 @@
 namespace viewshed {
 namespace {
 
-// Columns of azimuth by which beams are sorted.
+// Azimuth columns by which beams are sorted.
 constexpr std::size_t COLUMNS = 2048;
 constexpr double PER_RAD = COLUMNS / (2 * std::numbers::pi);
 
-// A return so far before a box's face or behind it is one of the face: the noise of ranges.
+// A return this close to a box's face belongs to it: range noise.
 constexpr float NOISE_M = 0.1f;
 
-// A part of a direction that is smaller is taken for this, so that dividing by it gives a number.
-constexpr float LEAST_PART = 1e-12f;
+// Lower bound of a direction component, so that its inverse is finite.
+constexpr float MIN_COMPONENT = 1e-12f;
 
-// No beam is looked at farther away.
+// Upper bound of the range in a box.
 constexpr float FARTHEST_M = 1e30f;
 
-// Boxes of a part that is worth a thread.
+// Fewest boxes for which a part pays for its thread.
 constexpr std::size_t PART = 32;
 
 std::size_t column_of(double azimuth) {
@@ -33,11 +33,11 @@ std::size_t column_of(double azimuth) {
     return std::min(column, COLUMNS - 1);
 }
 
-// One over a part of a direction; that of a part next to 0 is large, not infinite, so that products are numbers.
-INLINE float inverse(float part) { return 1.0f / (std::fabs(part) < LEAST_PART ? LEAST_PART : part); }
+// Return the inverse of a direction component; large but finite near 0.
+INLINE float inverse(float part) { return 1.0f / (std::fabs(part) < MIN_COMPONENT ? MIN_COMPONENT : part); }
 
-// Narrow the ranges at which a beam is in a box to those in a slab of ± half about 0; it starts at `from`, and takes
-// `per_part` meters of range for a meter across the slab.
+// Clip the range interval of a beam to a slab of ±half around 0 (slab method). The beam starts at `from` and takes
+// `per_part` meters of range per meter across the slab.
 INLINE void cross_slab(float from, float per_part, float half, float& enters, float& leaves) {
     const float one = (-half - from) * per_part, other = (half - from) * per_part;
     const float low = one < other ? one : other, high = one < other ? other : one;
@@ -45,8 +45,7 @@ INLINE void cross_slab(float from, float per_part, float half, float& enters, fl
     leaves = high < leaves ? high : leaves;
 }
 
-// Count the beams that meet a box. One that ends in the box met it; without own returns it would have gone on. Else only those
-// that go through it count.
+// Count the beams that meet a box: with leave_out_own those that enter it, else those that pass through it.
 MULTIVERSION std::int32_t count_meeting(const float* x, const float* y, const float* per_rise, const float* depth_m,
                                         std::size_t count, const SeenBox& seen, bool leave_out_own) {
     const SeenBox box = seen;
@@ -68,7 +67,7 @@ MULTIVERSION std::int32_t count_meeting(const float* x, const float* y, const fl
 
 BeamsByAzimuth::BeamsByAzimuth(View1<const float> azimuth, View1<const float> slope, View1<const float> depth_m)
     : first_(COLUMNS + 1, 0), x_(azimuth.size), y_(azimuth.size), per_rise_(azimuth.size), depth_m_(azimuth.size) {
-    // Beams that point straight up or nowhere meet nothing.
+    // Beams with infinite slope or invalid direction meet nothing.
     Buffer<std::uint16_t> column(azimuth.size);
     for (std::size_t n = 0; n < azimuth.size; ++n) {
         const bool counts = std::isfinite(slope[n]) && std::isfinite(azimuth[n]) && depth_m[n] > 0;
@@ -87,27 +86,27 @@ BeamsByAzimuth::BeamsByAzimuth(View1<const float> azimuth, View1<const float> sl
     }
 }
 
-// Count the beams from a height that meet a box, given by NUMBERS numbers.
+// Count the beams from a sensor height that meet one box.
 std::int32_t BeamsByAzimuth::count_one(const float* box, float sensor_height_m, bool leave_out_own) const {
-    // The columns that the box's corners span, one more on either side; all of them around the sensor.
+    // Columns that the box's corners span, plus one on either side; all columns if it contains the sensor.
     const double c = std::cos(double(box[6])), s = std::sin(double(box[6])), middle = std::atan2(box[1], box[0]);
-    double least = 0.0, most = 0.0;
+    double min_offset = 0.0, max_offset = 0.0;
     for (const double along : {-0.5, 0.5}) {
         for (const double across : {-0.5, 0.5}) {
             const double x = box[0] + along * box[3] * c - across * box[4] * s;
             const double y = box[1] + along * box[3] * s + across * box[4] * c;
             const double away = std::remainder(std::atan2(y, x) - middle, 2 * std::numbers::pi);
-            least = std::min(least, away);
-            most = std::max(most, away);
+            min_offset = std::min(min_offset, away);
+            max_offset = std::max(max_offset, away);
         }
     }
     const bool is_around = std::fabs(box[0] * c + box[1] * s) <= 0.5 * box[3] &&
                            std::fabs(box[1] * c - box[0] * s) <= 0.5 * box[4];
-    const std::size_t span = std::size_t((most - least) * PER_RAD) + 4;
+    const std::size_t span = std::size_t((max_offset - min_offset) * PER_RAD) + 4;
     const SeenBox seen{-(box[0] * float(c) + box[1] * float(s)), box[0] * float(s) - box[1] * float(c),
                        sensor_height_m - box[2], 0.5f * box[3], 0.5f * box[4], 0.5f * box[5], float(c), float(s)};
     if (is_around || span >= COLUMNS) return count_within(0, first_[COLUMNS], seen, leave_out_own);
-    const std::size_t begin = (column_of(middle + least) + COLUMNS - 1) % COLUMNS, end = begin + span;
+    const std::size_t begin = (column_of(middle + min_offset) + COLUMNS - 1) % COLUMNS, end = begin + span;
     if (end <= COLUMNS) return count_within(first_[begin], first_[end], seen, leave_out_own);
     return count_within(first_[begin], first_[COLUMNS], seen, leave_out_own) +
            count_within(0, first_[end - COLUMNS], seen, leave_out_own);

@@ -1,4 +1,4 @@
-// How many beams would meet each of some boxes, were the boxes' own returns not there.
+// Count the beams that would meet boxes without the boxes' own returns.
 #pragma once
 
 #include <vector>
@@ -7,20 +7,21 @@
 
 namespace viewshed {
 
-// Columns of the array of boxes: center x, y, z, length, width, height in meters, yaw in radians.
+// Columns of boxes: center x, y, z, length, width, height in meters, yaw in radians.
 constexpr std::size_t NUMBERS = 7;
 
-// A box seen from the sensor: where the sensor is, from the box's middle and along its sides; half its sizes; its heading.
+// A box seen from the sensor: position of the sensor relative to the box's center and axes; half sizes; heading.
 struct SeenBox {
     float from_x, from_y, from_z, half_x, half_y, half_z, cosine, sine;
 };
 
-// Beams (B,) sorted by azimuth: horizontal direction, range over rise, and range at which they ended.
+// Beams (B,) sorted by azimuth: horizontal direction, inverse slope, and depth.
 class BeamsByAzimuth {
 public:
     BeamsByAzimuth(View1<const float> azimuth, View1<const float> slope, View1<const float> depth_m);
 
-    // Write how many beams from a height meet each box (K, NUMBERS); without own returns one that ends in a box goes on.
+    // Write how many beams meet each box (K, NUMBERS) from a sensor height. With leave_out_own, beams that end in it
+    // continue.
     void count(View2<const float> boxes, float sensor_height_m, bool leave_out_own, View1<std::int32_t> returns) const;
 
 private:

@@ -13,39 +13,37 @@
 namespace viewshed {
 namespace {
 
-// The network's numbers: MEAN and SCALE of the features, weights and bias of two layers. `tools/fit_calibration.py fit` writes
-// them.
+// Network parameters: MEAN and SCALE of features, weights and bias of two layers, by `tools/fit_calibration.py fit`.
 #include "calibration_network.inc"
 
 constexpr std::size_t UNITS = std::size(FIRST_BIAS);
 static_assert(std::size(MEAN) == SHOWN_FEATURES && std::size(SCALE) == SHOWN_FEATURES && std::size(SECOND_BIAS) == 1);
 static_assert(std::size(FIRST) == SHOWN_FEATURES * UNITS && std::size(SECOND) == UNITS);
 
-// The features of a sweep are cut off sooner than those of cells: few places were seen, and many cells in each.
-constexpr float MOST_SWEEP_DEVIATIONS = 2.0f;
+// Sweep features are clipped sooner than cell features: the fit saw few places, but many cells in each.
+constexpr float MAX_SWEEP_DEVIATIONS = 2.0f;
 
-// Ground that is even to within this is as even as any.
-constexpr double LEAST_RELIEF_M = 0.1;
+// Added to the relief in meters: flatter ground makes no difference.
+constexpr double MIN_RELIEF_M = 0.1;
 
-// Half the width in cells of the squares over which probabilities are averaged twice, one after the other.
+// Half widths in cells of the box filter, which is applied twice.
 constexpr std::size_t NEAR_CELLS = 2, WIDE_CELLS = 6;
 
-// Ranges below this share of that of the cell, and ranges that are farther, say no more.
-constexpr float LEAST_SHARE = 0.05f, FARTHEST_M = 200.0f, LEAST_RANGE_M = 0.5f;
+// Limits of the range features: smaller shares and farther ranges carry no more information.
+constexpr float MIN_SHARE = 0.05f, FARTHEST_M = 200.0f, MIN_RANGE_M = 0.5f;
 
-// A probability of 0 has the logit of this one.
-constexpr float LEAST_PROB = 0.01f;
+// Offset that keeps logits of 0 and 1 finite.
+constexpr float PROB_OFFSET = 0.01f;
 
-// Cells of a part that is worth a thread.
+// Fewest cells for which a part pays for its thread.
 constexpr std::size_t PART = 8192;
 
 INLINE float logit_of(float prob) {
     const float p = prob < 1.0f ? (prob > 0.0f ? prob : 0.0f) : 1.0f;
-    return log2_of((p + LEAST_PROB) / (1.0f + LEAST_PROB - p));
+    return log2_of((p + PROB_OFFSET) / (1.0f + PROB_OFFSET - p));
 }
 
-// Write means (columns,) over 2 · half + 1 neighbors of a row; padded (columns + 2 · half,) is the row with its outermost values
-// repeated.
+// Write means (columns,) over 2 · half + 1 neighbors of a row; padded (columns + 2 · half,) repeats its ends.
 MULTIVERSION void average_row(const float* __restrict padded, std::size_t columns, std::size_t half, float* __restrict means) {
     const float share = 1.0f / float(2 * half + 1);
     for (std::size_t c = 0; c < columns; ++c) means[c] = padded[c];
@@ -55,32 +53,32 @@ MULTIVERSION void average_row(const float* __restrict padded, std::size_t column
     for (std::size_t c = 0; c < columns; ++c) means[c] *= share;
 }
 
-// Write means of some columns from their sums, and let a row come into these and another go.
-MULTIVERSION void move_sums(const float* __restrict come, const float* __restrict go, std::size_t columns, float share,
+// Write means of columns from their sums, then add the entering row to the sums and subtract the leaving one.
+MULTIVERSION void move_sums(const float* __restrict entering, const float* __restrict leaving, std::size_t columns, float share,
                             double* __restrict sums, float* __restrict means) {
     for (std::size_t c = 0; c < columns; ++c) means[c] = float(sums[c]) * share;
-    for (std::size_t c = 0; c < columns; ++c) sums[c] += double(come[c]) - double(go[c]);
+    for (std::size_t c = 0; c < columns; ++c) sums[c] += double(entering[c]) - double(leaving[c]);
 }
 
-// Average values (rows, columns) over squares, twice.
+// Return values (rows, columns) averaged over squares, twice.
 Buffer<float> averaged(View2<const float> values, std::size_t half) {
-    Buffer<float> means(values.size()), between(values.size());
+    Buffer<float> means(values.size()), rows_averaged(values.size());
     const std::size_t rows = values.rows, columns = values.columns;
     const float share = 1.0f / float(2 * half + 1);
     const std::size_t parts = count_parts(values.size(), PART);
     View2<const float> from = values;
-    for (int time = 0; time < 2; ++time) {
+    for (int pass = 0; pass < 2; ++pass) {
         for_ranges(rows, parts, [&](std::size_t, std::size_t begin, std::size_t end) {
             Buffer<float> padded(columns + 2 * half);
             for (std::size_t r = begin; r < end; ++r) {
                 std::fill_n(padded.data(), half, from(r, 0));
                 std::copy_n(from[r], columns, padded.data() + half);
                 std::fill_n(padded.data() + half + columns, half, from(r, columns - 1));
-                average_row(padded.data(), columns, half, &between[r * columns]);
+                average_row(padded.data(), columns, half, &rows_averaged[r * columns]);
             }
         });
         for_ranges(columns, parts, [&](std::size_t, std::size_t begin, std::size_t end) {
-            const auto row = [&](std::size_t r) { return &between[std::min(r, rows - 1) * columns + begin]; };
+            const auto row = [&](std::size_t r) { return &rows_averaged[std::min(r, rows - 1) * columns + begin]; };
             Buffer<double> sums(end - begin, 0.0);
             for (std::size_t k = 0; k <= 2 * half; ++k) {
                 const float* const own = row(k < half ? 0 : k - half);
@@ -96,7 +94,7 @@ Buffer<float> averaged(View2<const float> values, std::size_t half) {
     return means;
 }
 
-// The ranges of NARROWEST_BINS: those of the bins that the returns fill, each as often as it is wider.
+// Ranges by NARROWEST_BINS, repeated from the wider bins that the returns fill.
 struct Limits {
     Buffer<float> blocker_m{NARROWEST_BINS}, farthest_m{NARROWEST_BINS};
 
@@ -109,7 +107,7 @@ struct Limits {
     }
 };
 
-// What the features of all cells are made from.
+// Inputs of the cell features.
 struct Scene {
     const CellWindows& windows;
     const CellEvidence& evidence;
@@ -128,7 +126,7 @@ struct Scene {
 
 constexpr std::size_t CELLS = CellCounts::BLOCK;
 
-// Write features (size,), each by a loop over arrays that do not overlap, so that it becomes vectors.
+// Write features (size,), each in its own loop over non-overlapping arrays, so that it vectorizes.
 MULTIVERSION void write_logits(const float* __restrict prob, std::size_t size, float* __restrict feature) {
     for (std::size_t n = 0; n < size; ++n) feature[n] = logit_of(prob[n]);
 }
@@ -141,13 +139,13 @@ MULTIVERSION void add(const float* __restrict a, const float* __restrict b, std:
     for (std::size_t n = 0; n < size; ++n) sum[n] = a[n] + b[n];
 }
 
-// The ranges of limits over those of cells.
+// Write log ratios of limit ranges to cell ranges.
 MULTIVERSION void write_shares(const float* __restrict limit_m, const float* __restrict cell_range_m, std::size_t size,
                                float* __restrict feature) {
     for (std::size_t n = 0; n < size; ++n) {
-        const float range_m = cell_range_m[n] > LEAST_RANGE_M ? cell_range_m[n] : LEAST_RANGE_M;
+        const float range_m = cell_range_m[n] > MIN_RANGE_M ? cell_range_m[n] : MIN_RANGE_M;
         const float share = limit_m[n] / range_m;
-        feature[n] = log2_of(share > LEAST_SHARE ? share : LEAST_SHARE);
+        feature[n] = log2_of(share > MIN_SHARE ? share : MIN_SHARE);
     }
 }
 
@@ -160,7 +158,7 @@ MULTIVERSION void write_away(const float* __restrict limit_m, const float* __res
     }
 }
 
-// Write the features of cells from `first` on, a row of CELLS for each.
+// Write the features of cells from `first` on, one row of CELLS each.
 void describe_block(const Scene& scene, std::size_t first, std::size_t size, float* feature) {
     const CellEvidence& of = scene.evidence;
     const float* const range_m = &scene.windows.cell_range_m[first];
@@ -187,8 +185,8 @@ void describe_block(const Scene& scene, std::size_t first, std::size_t size, flo
     write_logs(range_m, size, row(CELL_RANGE));
 }
 
-// Write the sums (CELL_FEATURES + 1,) of features (CELL_FEATURES, CELLS) over the cells at which beams aim, and their number last.
-// The lanes are summed one by one, so that the sums are the same on every processor; features beyond `size` are 0.
+// Write the sums (CELL_FEATURES + 1,) of features (CELL_FEATURES, CELLS) over cells at which beams aim, and their
+// number last. Lanes are summed one by one, so that sums are equal on every processor; features beyond `size` are 0.
 MULTIVERSION void sum_aimed(const float* __restrict feature, const float* __restrict aimed, std::size_t size, double* sums) {
     float counts[CELLS] = {};
     for (std::size_t n = 0; n < size; ++n) counts[n] = aimed[n] > 0.0f ? 1.0f : 0.0f;
@@ -205,7 +203,7 @@ MULTIVERSION void sum_aimed(const float* __restrict feature, const float* __rest
     }
 }
 
-// The standard deviation of the heights of the ground.
+// Return the standard deviation of the ground heights.
 double relief_of(View2<const float> heights_m) {
     double sum = 0.0, squares = 0.0;
     for (const float height_m : heights_m.flat()) sum += double(height_m), squares += double(height_m) * double(height_m);
@@ -213,7 +211,7 @@ double relief_of(View2<const float> heights_m) {
     return std::sqrt(std::max(squares / count - mean * mean, 0.0));
 }
 
-// The features of cells, block by block (CELL_FEATURES, CELLS), and those of the sweep.
+// Features of cells, block by block (CELL_FEATURES, CELLS), and of the sweep.
 struct Description {
     std::size_t blocks;
     Buffer<float> cells;
@@ -235,32 +233,31 @@ struct Description {
         double all[SUMS] = {};
         for (std::size_t n = 0; n < blocks * SUMS; ++n) all[n % SUMS] += sums[n];
         for (std::size_t k = 0; k < CELL_FEATURES; ++k) sweep[k] = float(all[k] / std::max(all[CELL_FEATURES], 1.0));
-        sweep[SWEEP_RELIEF] = log2_of(float(LEAST_RELIEF_M + relief_of(heights_m)));
+        sweep[SWEEP_RELIEF] = log2_of(float(MIN_RELIEF_M + relief_of(heights_m)));
     }
 
     float* of(std::size_t block) { return &cells[block * CELL_FEATURES * CELLS]; }
 };
 
-// A feature in standard deviations from its mean, cut off.
-INLINE float standardized(float feature, std::size_t k, float most) {
+// Standardize and clip a feature.
+INLINE float standardized(float feature, std::size_t k, float limit) {
     const float value = (feature - MEAN[k]) * SCALE[k];
-    const float high = value < most ? value : most;
-    return high > -most ? high : -most;
+    const float high = value < limit ? value : limit;
+    return high > -limit ? high : -limit;
 }
 
-// The first layer's bias of one sweep: what its own features add is the same for all of its cells.
+// Return the first layer's bias for a sweep: the sweep features contribute equally to all its cells.
 std::array<float, UNITS> bias_of(const float* sweep) {
     std::array<float, UNITS> bias;
     std::copy_n(FIRST_BIAS, UNITS, bias.begin());
     for (std::size_t k = 0; k < SWEEP_FEATURES; ++k) {
-        const float value = standardized(sweep[k], CELL_FEATURES + k, MOST_SWEEP_DEVIATIONS);
+        const float value = standardized(sweep[k], CELL_FEATURES + k, MAX_SWEEP_DEVIATIONS);
         for (std::size_t u = 0; u < UNITS; ++u) bias[u] += value * FIRST[(CELL_FEATURES + k) * UNITS + u];
     }
     return bias;
 }
 
-// Write the logits of cells by the network from their features (CELL_FEATURES, CELLS) and the bias of their sweep, AT_ONCE at a
-// time: the features of these stay in registers.
+// Write the logits of cells from their features (CELL_FEATURES, CELLS) and the sweep's bias, AT_ONCE at a time.
 MULTIVERSION void run_network(const float* __restrict feature, const float* __restrict bias, std::size_t size,
                               float* __restrict logit) {
     for (std::size_t n = 0; n < size; n += AT_ONCE) {
@@ -286,8 +283,8 @@ MULTIVERSION void decide(const float* __restrict logit, const float* __restrict 
                          std::size_t size, float below, float* __restrict prob) {
     for (std::size_t n = 0; n < size; ++n) {
         const float low = logit[n] < 20.0f ? logit[n] : 20.0f, x = low > -20.0f ? low : -20.0f;
-        const float said = 1.0f / (1.0f + exp_of(-x));
-        const float claim = said > THRESHOLD ? said : THRESHOLD, denial = said < below ? said : below;
+        const float calibrated = 1.0f / (1.0f + exp_of(-x));
+        const float claim = calibrated > THRESHOLD ? calibrated : THRESHOLD, denial = calibrated < below ? calibrated : below;
         const bool is_silent = (counted[n] <= 0.0f) & (aimed[n] <= 0.0f);
         const float other = is_silent ? 0.0f : denial;
         prob[n] = counted[n] >= THRESHOLD ? claim : other;
@@ -298,23 +295,25 @@ MULTIVERSION void decide(const float* __restrict logit, const float* __restrict 
 
 void describe_cells(const CellWindows& windows, const CellEvidence& evidence, const LeveledReturns& returns,
                     View1<const float> table, View2<const float> heights_m, View2<float> feature) {
-    Description seen(Scene(windows, evidence, returns, table), heights_m);
+    Description description(Scene(windows, evidence, returns, table), heights_m);
     for (std::size_t k = 0; k < CELL_FEATURES; ++k) {
-        for (std::size_t n = 0; n < windows.cells(); ++n) feature(k, n) = seen.of(n / CELLS)[k * CELLS + n % CELLS];
+        for (std::size_t n = 0; n < windows.cells(); ++n) feature(k, n) = description.of(n / CELLS)[k * CELLS + n % CELLS];
     }
-    for (std::size_t k = 0; k < SWEEP_FEATURES; ++k) std::fill_n(feature[CELL_FEATURES + k], windows.cells(), seen.sweep[k]);
+    for (std::size_t k = 0; k < SWEEP_FEATURES; ++k) {
+        std::fill_n(feature[CELL_FEATURES + k], windows.cells(), description.sweep[k]);
+    }
 }
 
 void calibrate(const CellWindows& windows, const CellEvidence& evidence, const LeveledReturns& returns, View1<const float> table,
                View2<const float> heights_m, View1<float> prob) {
-    Description seen(Scene(windows, evidence, returns, table), heights_m);
-    const auto bias = bias_of(seen.sweep);
+    Description description(Scene(windows, evidence, returns, table), heights_m);
+    const auto bias = bias_of(description.sweep);
     const float below = std::nextafter(THRESHOLD, 0.0f);
-    for_ranges(seen.blocks, count_parts(windows.cells(), PART), [&](std::size_t, std::size_t begin, std::size_t end) {
+    for_ranges(description.blocks, count_parts(windows.cells(), PART), [&](std::size_t, std::size_t begin, std::size_t end) {
         float logit[CELLS];
         for (std::size_t block = begin; block < end; ++block) {
             const std::size_t at = block * CELLS, size = std::min(CELLS, windows.cells() - at);
-            run_network(seen.of(block), bias.data(), size, logit);
+            run_network(description.of(block), bias.data(), size, logit);
             decide(logit, evidence.visible_prob + at, evidence.aimed + at, size, below, &prob[at]);
         }
     });

@@ -1,4 +1,4 @@
-// How often a cell is visible of which the beams say so much: a small network that was fitted to exact truth.
+// Calibrate the probability that a cell is visible, by a small network fitted to exact truth.
 #pragma once
 
 #include "arrays.hpp"
@@ -7,40 +7,40 @@
 
 namespace viewshed {
 
-// What the network is shown of a cell; all logarithms have the base 2.
+// Features of a cell; all logarithms have base 2.
 enum CellFeature {
     CELL_PROB,            // logit of the probability by counting
-    CELL_PROB_NEAR,       // of its mean about two cells around, ...
+    CELL_PROB_NEAR,       // of its mean over about two cells around, ...
     CELL_PROB_WIDE,       // ... and about five cells around
-    CELL_OWN_PROB,        // of the probability on the ground as it was estimated, to the likely ends of beams
-    CELL_BLOCKER,         // range of the nearest obstacle of the azimuth over that of the cell
-    CELL_BLOCKER_AWAY,    // how many meters that lies beyond the cell: logarithm of one more, with its sign
-    CELL_FARTHEST,        // range of the farthest return of the azimuth over that of the cell
-    CELL_BEAMS_AIMED,     // of one more than the beams that aim there, ...
-    CELL_BEAMS_MEASURED,  // ... than the expected returns by measured beams, ...
-    CELL_BEAMS_LIKELY,    // ... by these and by those without a return that likely went so far, ...
-    CELL_BEAMS_LATE,      // ... and that went so far if they ended late
-    CELL_RANGE,           // of one meter more than the range of the cell
+    CELL_OWN_PROB,        // of the probability for the estimated ground and likely depths
+    CELL_BLOCKER,         // log of (range of the azimuth's nearest obstacle / range of the cell)
+    CELL_BLOCKER_AWAY,    // signed log of 1 + meters of that obstacle beyond the cell
+    CELL_FARTHEST,        // log of (range of the azimuth's farthest return / range of the cell)
+    CELL_BEAMS_AIMED,     // log of 1 + beams that aim there, ...
+    CELL_BEAMS_MEASURED,  // ... 1 + expected returns of measured beams, ...
+    CELL_BEAMS_LIKELY,    // ... 1 + those plus no-return beams at their likely depth, ...
+    CELL_BEAMS_LATE,      // ... or at their late depth
+    CELL_RANGE,           // log of 1 + range of the cell in meters
     CELL_FEATURES
 };
 
-// What it is shown of the sweep: the means of these over all cells at which beams aim, and how uneven the ground is. They say
-// in what kind of place the sensor stands: what is guessed on a plain is seldom wrong, and often on a slope.
+// Features of the sweep: the means of the cell features over all cells at which beams aim, and the relief of the
+// ground. They describe the kind of place: inference is more often wrong on slopes than on plains.
 constexpr std::size_t SWEEP_RELIEF = CELL_FEATURES, SWEEP_FEATURES = CELL_FEATURES + 1;
 constexpr std::size_t SHOWN_FEATURES = CELL_FEATURES + SWEEP_FEATURES;
 
-// The evidence (N,) of cells.
+// Evidence (N,) of cells.
 struct CellEvidence {
     const float *measured, *inferred, *late, *aimed, *visible_prob;
 };
 
-// Write the features (SHOWN_FEATURES, N) of cells: their own, and those of the sweep, the same for each. LeveledReturns are all
-// of the leveled sweep; the table is that of poisson_table; heights_m are those of the ground, on its lattice.
+// Write the features (SHOWN_FEATURES, N) of cells: their own, then those of the sweep, equal for all. `returns` are all
+// of the leveled sweep, `table` is a poisson_table, heights_m is the ground on its lattice.
 void describe_cells(const CellWindows& windows, const CellEvidence& evidence, const LeveledReturns& returns,
                     View1<const float> table, View2<const float> heights_m, View2<float> feature);
 
-// Write the probability (N,) that a cell is visible. It lies on the side of the threshold on which the counted one lies, for
-// the beams decide what is claimed; it is 0 where no beam says anything.
+// Write the probability (N,) that a cell is visible. It stays on the same side of the threshold as the counted one,
+// since the beams decide claims; it is 0 without any beams.
 void calibrate(const CellWindows& windows, const CellEvidence& evidence, const LeveledReturns& returns, View1<const float> table,
                View2<const float> heights_m, View1<float> prob);
 

@@ -8,21 +8,21 @@ namespace {
 
 constexpr float CELL_M = 0.5f;
 
-// Cells farther than this are neither held against a sweep nor remembered: too few beams meet them.
+// Ranges up to which cells are compared with a sweep, and remembered: too few beams hit farther ones.
 constexpr float FARTHEST_M = 45.0f, REMEMBERED_M = 60.0f;
 
-// A cell is forgotten when no obstacle was seen there for this long; sooner where sweeps look through it.
+// A cell is forgotten after FORGET_S without an obstacle, or GONE_S if sweeps see it free.
 constexpr double FORGET_S = 10.0, GONE_S = 0.5;
 
-// A surface stands if it was seen for this long, in enough of the sweeps that looked, and a moment ago.
+// A surface is standing if it was seen for STANDS_S, in most sweeps that looked, and within the last MOMENT_S.
 constexpr double STANDS_S = 1.0, MOMENT_S = 0.35;
-constexpr float MOST_FREE = 0.05f, LEAST_OCCUPIED = 8.0f;
+constexpr float MAX_FREE_SHARE = 0.05f, MIN_OCCUPIED = 8.0f;
 
-// What covered a cell for T seconds is this long at most, and so was no faster than LONGEST_M / T; but nothing is called slow
-// below SLOWEST_MPS, nor fast below DRIVEN_MPS. What needs SUDDEN times as much did not drive.
+// An object that covered a cell for T seconds is at most LONGEST_M long, so it moved at most LONGEST_M / T, clamped to
+// [SLOWEST_MPS, DRIVEN_MPS]. A speed SUDDEN times higher cannot be driving.
 constexpr float LONGEST_M = 20.0f, SLOWEST_MPS = 4.0f, DRIVEN_MPS = 15.0f, SUDDEN = 2.5f;
 
-// What comes into view from cover may do so from this speed on.
+// Objects that come out of cover are suspicious above this speed.
 constexpr float CAME_MPS = 8.0f;
 
 std::int64_t key_of(float x, float y) {
@@ -30,15 +30,15 @@ std::int64_t key_of(float x, float y) {
     return std::int64_t((std::uint64_t(u) << 32) + std::uint64_t(v));
 }
 
-bool is_near(Point3 p, float most_m) { return p.x * p.x + p.y * p.y < most_m * most_m; }
+bool is_near(Point3 p, float max_m) { return p.x * p.x + p.y * p.y < max_m * max_m; }
 
-// How sure a thing that needs this speed did not drive: 0 up to `driven_mps`, 1 from SUDDEN times that on.
+// Return how implausible a speed is for driving: 0 up to `driven_mps`, 1 from SUDDEN times that on.
 float suddenness(float speed_mps, float driven_mps) {
     return std::clamp((speed_mps / driven_mps - 1.0f) / (SUDDEN - 1.0f), 0.0f, 1.0f);
 }
 
-// Whether earlier sweeps looked through a place: the newest that knows of it, and none of the others saw an obstacle there.
-// If so, the speed that brought an obstacle there since from the nearest cover; else 0.
+// Return the speed from the nearest cover to a place that the newest informed earlier sweep saw free, and none
+// occupied; else 0.
 float arrival_mps(Point3 p, const std::vector<Other>& earlier) {
     float speed_mps = 0.0f, gap_s = 0.0f;
     int free = 0;
@@ -59,11 +59,11 @@ void CellMemory::check(const SweepView& now, const Transform& now_from_memory, d
     const int sectors = int(gone_m.size);
     std::fill(gone_m.begin(), gone_m.end(), 0.0f);
     std::fill(new_m2.begin(), new_m2.end(), 0.0f);
-    // 1. Surfaces that stood until a moment ago: does the sweep look through them?
+    // 1. Standing surfaces that the sweep looks through.
     for (const auto& [key, cell] : cells_) {
         const double stood_s = cell.last_s - cell.first_s;
-        const bool stands = stood_s >= STANDS_S && t_s - cell.last_s <= MOMENT_S && float(cell.occupied) >= LEAST_OCCUPIED &&
-                            float(cell.free) <= MOST_FREE * float(cell.occupied);
+        const bool stands = stood_s >= STANDS_S && t_s - cell.last_s <= MOMENT_S && float(cell.occupied) >= MIN_OCCUPIED &&
+                            float(cell.free) <= MAX_FREE_SHARE * float(cell.occupied);
         const Point3 p = now_from_memory(cell.point);
         if (!stands || !is_near(p, FARTHEST_M)) continue;
         if (!now.is_passed(p) && now.look_at(p) != Seen::FREE) continue;
@@ -72,9 +72,9 @@ void CellMemory::check(const SweepView& now, const Transform& now_from_memory, d
         gone_m[std::size_t(now.sector_of(p, sectors))] += CELL_M * suddenness(speed_mps, driven_mps);
     }
     if (earlier.empty()) return;
-    // 2. Obstacles where there never were any, nor beside, and which must have come too fast.
+    // 2. Obstacles that were never seen in their cell or beside it, and would have moved too fast.
     const std::vector<Point3>& obstacles = now.obstacles();
-    // The transpose of the rotation turns back.
+    // The transposed rotation maps back.
     const auto& m = now_from_memory.m;
     for (const Point3 p : obstacles) {
         if (!is_near(p, FARTHEST_M)) continue;
@@ -88,16 +88,16 @@ void CellMemory::check(const SweepView& now, const Transform& now_from_memory, d
         }
         if (known) continue;
         const float sudden = suddenness(arrival_mps(p, earlier), CAME_MPS);
-        // Its own sweep must find it as well: returns that lie off their beams cannot be sought by them.
+        // The sweep itself must see it in place too: returns off their beams cannot be looked up.
         if (sudden <= 0.0f || now.look_at(p) != Seen::OCCUPIED) continue;
         new_m2[std::size_t(now.sector_of(p, sectors))] += sudden * now.area_of_pixel(p) * float(now.obstacle_step());
     }
 }
 
 void CellMemory::add(const SweepView& now, const Transform& memory_from_now, const Transform& now_from_memory, double t_s) {
-    // 1. What the sweep says of the cells that are known.
-    for (auto each = cells_.begin(); each != cells_.end();) {
-        Cell& cell = each->second;
+    // 1. Update the known cells.
+    for (auto entry = cells_.begin(); entry != cells_.end();) {
+        Cell& cell = entry->second;
         const Point3 p = now_from_memory(cell.point);
         const Seen seen = is_near(p, REMEMBERED_M) ? now.look_at(p) : Seen::UNKNOWN;
         if (seen == Seen::OCCUPIED) {
@@ -107,9 +107,9 @@ void CellMemory::add(const SweepView& now, const Transform& memory_from_now, con
         if (seen == Seen::FREE) ++cell.free;
         const double unseen_s = t_s - cell.last_s;
         const bool gone = unseen_s > FORGET_S || (seen == Seen::FREE && unseen_s > GONE_S) || !is_near(p, 2 * REMEMBERED_M);
-        each = gone ? cells_.erase(each) : std::next(each);
+        entry = gone ? cells_.erase(entry) : std::next(entry);
     }
-    // 2. Its own obstacles.
+    // 2. Add its own obstacles.
     for (const Point3 p : now.obstacles()) {
         if (!is_near(p, REMEMBERED_M)) continue;
         const Point3 there = memory_from_now(p);

@@ -1,4 +1,4 @@
-// The obstacles of the last seconds of one stream, in cells that stand still in the world, and what a sweep contradicts of them.
+// Remember the obstacles of a stream's last seconds in world-fixed cells, and find contradictions of a new sweep.
 #pragma once
 
 #include <cstdint>
@@ -12,20 +12,20 @@ namespace viewshed {
 
 class CellMemory {
 public:
-    // By sector about the sensor: meters of standing surfaces through which a sweep looks, and the upright area m2 of obstacles in
-    // cells that were never occupied and that earlier sweeps looked through. Nothing is changed. earlier are sweeps before it, the
-    // newest first, with the transforms to their frames.
+    // Write by sector around the sensor the meters of standing surfaces that the sweep looks through, and the vertical
+    // area in m² of obstacles in cells that were never occupied and that earlier sweeps saw free. `earlier` are sweeps
+    // before it, newest first, with the transforms to their frames. Changes nothing.
     void check(const SweepView& now, const Transform& now_from_memory, double t_s, const std::vector<Other>& earlier,
                View1<float> gone_m, View1<float> new_m2) const;
 
-    // Remember a sweep at a time, and forget what was not seen for long.
+    // Add a sweep at time t_s, and forget cells that were not seen for long.
     void add(const SweepView& now, const Transform& memory_from_now, const Transform& now_from_memory, double t_s);
 
     std::size_t cells() const { return cells_.size(); }
 
 private:
-    // What is known of a cell: when obstacles were seen there first and last, the last of them, and how many sweeps found it
-    // occupied, or looked through it.
+    // A cell: times of its first and last obstacle, the last obstacle point, and numbers of sweeps that saw it occupied
+    // or free.
     struct Cell {
         double first_s, last_s;
         Point3 point;

@@ -9,18 +9,18 @@
 namespace viewshed {
 namespace {
 
-// Most cells of a side of the lattice on which returns are thinned out.
-constexpr double MOST_LATTICE = 1024.0;
+// Largest side of the thinning lattice, in cells.
+constexpr double MAX_LATTICE = 1024.0;
 
-// Points whose squares about their line sum up to less lie on it.
-constexpr double LEAST_SPREAD_M2 = 1e-4;
+// Points with a smaller sum of squares about their line count as collinear.
+constexpr double MIN_SPREAD_M2 = 1e-4;
 
-// Points of a bucket, on average.
-constexpr double POINTS_A_BUCKET = 4.0;
+// Mean number of points per bucket.
+constexpr double POINTS_PER_BUCKET = 4.0;
 
 double squared_distance(PlanePoint a, PlanePoint b) { return (a.x - b.x) * (a.x - b.x) + (a.y - b.y) * (a.y - b.y); }
 
-// Squared distance of p from the segment from a to b.
+// Return the squared distance of p from segment ab.
 INLINE double segment_distance(double px, double py, PlanePoint a, PlanePoint b) {
     const double dx = b.x - a.x, dy = b.y - a.y, square = dx * dx + dy * dy;
     double t = ((px - a.x) * dx + (py - a.y) * dy) / square;
@@ -33,18 +33,18 @@ MULTIVERSION void find_segment_distances(const double* x, const double* y, std::
     for (std::size_t k = 0; k < count; ++k) squared[k] = segment_distance(x[k], y[k], a, b);
 }
 
-// Positive where c lies to the right of the line from a to b.
+// Return a positive number if c is to the right of line ab.
 double turn(PlanePoint a, PlanePoint b, PlanePoint c) { return (b.y - a.y) * (c.x - b.x) - (b.x - a.x) * (c.y - b.y); }
 
 bool is_same(PlanePoint a, PlanePoint b) { return a.x == b.x && a.y == b.y; }
 
-// Whether the segments from a to b and from c to d cross each other.
+// Check if segments ab and cd cross.
 bool do_cross(PlanePoint a, PlanePoint b, PlanePoint c, PlanePoint d) {
     return !is_same(a, d) && !is_same(b, c) && (turn(a, b, c) > 0) != (turn(a, b, d) > 0) &&
            (turn(c, d, a) > 0) != (turn(c, d, b) > 0);
 }
 
-// The convex hull clockwise from the point of least x, of these of least y (Andrew's monotone chains).
+// Return the convex hull, clockwise from the point of least x, then y (Andrew's monotone chain).
 std::vector<std::size_t> convex_hull(const std::vector<PlanePoint>& points) {
     std::vector<std::size_t> order(points.size());
     for (std::size_t k = 0; k < order.size(); ++k) order[k] = k;
@@ -60,14 +60,14 @@ std::vector<std::size_t> convex_hull(const std::vector<PlanePoint>& points) {
             }
             hull.push_back(*at);
         }
-        hull.pop_back();  // the other chain begins with it
+        hull.pop_back();  // the other chain starts with it
     };
     add_chain(order.begin(), order.end());
     add_chain(order.rbegin(), order.rend());
     return hull;
 }
 
-// Points in buckets, row by row, so that those along a segment lie one after the other. Points can be taken out.
+// Spatial hash of points, row by row, so that points along a segment are contiguous. Points can be removed.
 class Buckets {
 public:
     explicit Buckets(const std::vector<PlanePoint>& points) : x_(points.size()), y_(points.size()), place_(points.size()) {
@@ -78,11 +78,11 @@ public:
             high = {std::max(high.x, p.x), std::max(high.y, p.y)};
         }
         const double width = high.x - low_.x, height = high.y - low_.y;
-        side_ = std::sqrt(width * height * POINTS_A_BUCKET / double(points.size()));
+        side_ = std::sqrt(width * height * POINTS_PER_BUCKET / double(points.size()));
         side_ = std::max(side_, std::max(width, height) / 1000.0);
         columns_ = std::size_t(width / side_) + 1;
         rows_ = std::size_t(height / side_) + 1;
-        // A counting sort by bucket.
+        // Counting sort by bucket.
         start_.assign(rows_ * columns_ + 1, 0);
         for (const PlanePoint& p : points) ++start_[bucket_of(p) + 1];
         for (std::size_t b = 0; b < rows_ * columns_; ++b) start_[b + 1] += start_[b];
@@ -99,14 +99,14 @@ public:
     std::size_t place(std::size_t point) const { return place_[point]; }
     void take_out(std::size_t place) { x_[place] = std::numeric_limits<double>::infinity(); }
 
-    // Add (squared distance, place) of the points whose distance from the segment from a to b is in (beyond, within].
+    // Append (squared distance, index) of points whose distance from segment ab lies in (beyond, within].
     void find_near(PlanePoint a, PlanePoint b, double beyond2, double within, double within2,
                    std::vector<std::pair<double, std::size_t>>& found) {
         const auto [lower, upper] = a.y <= b.y ? std::pair(a, b) : std::pair(b, a);
         const double slope = upper.y > lower.y ? (upper.x - lower.x) / (upper.y - lower.y) : 0.0;
         const std::size_t first = row_of(lower.y - within), last = row_of(upper.y + within);
         for (std::size_t row = first; row <= last; ++row) {
-            // The part of the segment that is near enough to this row of buckets.
+            // Part of the segment near enough to this row of buckets.
             const double bottom = low_.y + double(row) * side_ - within, top = bottom + side_ + 2 * within;
             const double from = lower.y >= bottom ? lower.x : lower.x + (bottom - lower.y) * slope;
             const double to = upper.y <= top ? upper.x : lower.x + (top - lower.y) * slope;
@@ -145,7 +145,7 @@ MULTIVERSION void find_overlaps(const double* low_x, const double* low_y, const 
     }
 }
 
-// A ring of nodes, each with the edge to the next one, and the boxes of the edges.
+// Linked ring of nodes; each owns the edge to the next one and its bounding box.
 class Ring {
 public:
     std::size_t size() const { return at_.size(); }
@@ -163,7 +163,7 @@ public:
         for (std::size_t k = 0; k < count; ++k) bound(k);
     }
 
-    // Put a point between a node and the next one, and return its node.
+    // Insert a point after a node, and return its node.
     std::size_t insert(std::size_t node, PlanePoint point) {
         const std::size_t added = size();
         at_.push_back(point);
@@ -177,7 +177,7 @@ public:
         return added;
     }
 
-    // Whether an edge of the ring crosses the segment from a to b.
+    // Check if an edge of the ring crosses segment ab.
     bool is_crossed(PlanePoint a, PlanePoint b) {
         const PlanePoint low{std::min(a.x, b.x), std::min(a.y, b.y)}, high{std::max(a.x, b.x), std::max(a.y, b.y)};
         find_overlaps(low_x_.data(), low_y_.data(), high_x_.data(), high_y_.data(), size(), low, high, overlaps_.data());
@@ -209,16 +209,16 @@ private:
 
 constexpr std::size_t NONE = std::numeric_limits<std::size_t>::max();
 
-// The place of the point that a node's edge is best bent to: the nearest one that is nearer to it than to the edges
-// before and after it, and that the ring does not hide; NONE if there is none within a distance.
-std::size_t find_candidate(Buckets& buckets, Ring& ring, std::size_t node, double most2,
+// Return the index of the point to which a node's edge is bent: the nearest one that is nearer to it than to the two
+// adjacent edges and visible from its ends; NONE if there is none within the distance.
+std::size_t find_candidate(Buckets& buckets, Ring& ring, std::size_t node, double max2,
                            std::vector<std::pair<double, std::size_t>>& near) {
     const PlanePoint a = ring.at(ring.previous(node)), b = ring.at(node), c = ring.at(ring.next(node));
     const PlanePoint d = ring.at(ring.next(ring.next(node)));
-    // Farther and farther strips along the edge.
+    // Search ever wider strips along the edge.
     double beyond2 = -1.0;
     for (double within = buckets.side();; within *= 2.0) {
-        const double within2 = std::min(within * within, most2);
+        const double within2 = std::min(within * within, max2);
         near.clear();
         buckets.find_near(b, c, beyond2, std::sqrt(within2), within2, near);
         std::sort(near.begin(), near.end());
@@ -229,7 +229,7 @@ std::size_t find_candidate(Buckets& buckets, Ring& ring, std::size_t node, doubl
                 return place;
             }
         }
-        if (within2 >= most2) return NONE;
+        if (within2 >= max2) return NONE;
         beyond2 = within2;
     }
 }
@@ -239,7 +239,7 @@ std::size_t find_candidate(Buckets& buckets, Ring& ring, std::size_t node, doubl
 std::vector<PlanePoint> thin_returns(View2<const float> points, View1<const float> range_m, const SquareGrid& grid) {
     std::vector<PlanePoint> thinned;
     if (points.rows == 0) return thinned;
-    // 1. The lattice begins at a corner of a cell of the grid.
+    // 1. Align the lattice with the cells of the grid.
     float low_x = points(0, 0), low_y = points(0, 1), high_x = low_x, high_y = low_y;
     for (std::size_t n = 0; n < points.rows; ++n) {
         low_x = std::min(low_x, points(n, 0));
@@ -248,13 +248,13 @@ std::vector<PlanePoint> thin_returns(View2<const float> points, View1<const floa
         high_y = std::max(high_y, points(n, 1));
     }
     const double spread_m = std::max(double(high_x) - low_x, double(high_y) - low_y);
-    const double cell_m = std::max(grid.cell_m, spread_m / (MOST_LATTICE - 2));
+    const double cell_m = std::max(grid.cell_m, spread_m / (MAX_LATTICE - 2));
     const double x0 = grid.x_m + std::floor((low_x - grid.x_m) / cell_m) * cell_m;
     const double y0 = grid.y_m + std::floor((low_y - grid.y_m) / cell_m) * cell_m;
     const double rows = std::floor((high_x - x0) / cell_m) + 1, columns = std::floor((high_y - y0) / cell_m) + 1;
-    require(rows >= 1 && rows <= MOST_LATTICE + 2 && columns >= 1 && columns <= MOST_LATTICE + 2,
+    require(rows >= 1 && rows <= MAX_LATTICE + 2 && columns >= 1 && columns <= MAX_LATTICE + 2,
             "returns must lie within 1e12 cells of the grid");
-    // 2. The farthest return of each cell; of two as far the one of greater x, then y.
+    // 2. Keep the farthest return of each cell; ties go to the greater x, then y.
     Buffer<std::int32_t> farthest(std::size_t(rows * columns), -1);
     const double per_m = 1.0 / cell_m;
     for (std::size_t n = 0; n < points.rows; ++n) {
@@ -284,7 +284,7 @@ bool span_area(const std::vector<PlanePoint>& points) {
     }
     x /= double(points.size());
     y /= double(points.size());
-    // The smaller eigenvalue of the matrix of second moments.
+    // Smaller eigenvalue of the scatter matrix.
     double xx = 0.0, xy = 0.0, yy = 0.0;
     for (const PlanePoint& p : points) {
         xx += (p.x - x) * (p.x - x);
@@ -292,11 +292,11 @@ bool span_area(const std::vector<PlanePoint>& points) {
         yy += (p.y - y) * (p.y - y);
     }
     const double larger = 0.5 * (xx + yy) + std::hypot(0.5 * (xx - yy), xy);
-    return (xx * yy - xy * xy) / larger > LEAST_SPREAD_M2;
+    return (xx * yy - xy * xy) / larger > MIN_SPREAD_M2;
 }
 
 std::vector<PlanePoint> concave_hull(const std::vector<PlanePoint>& points, double concavity, double length_m) {
-    // 1. Begin with the convex hull. Its points are no candidates any more.
+    // 1. Start with the convex hull; its points are no candidates.
     Buckets buckets(points);
     std::vector<PlanePoint> corners;
     for (const std::size_t k : convex_hull(points)) {
@@ -304,21 +304,20 @@ std::vector<PlanePoint> concave_hull(const std::vector<PlanePoint>& points, doub
         buckets.take_out(buckets.place(k));
     }
     Ring ring(corners);
-    // 2. Bend each edge inward to the nearest point, in the order in which edges were made, as long as that is concave
-    //    enough. Both halves are edges to be bent.
+    // 2. Bend each edge inward to its best point, in the order of creation, if concave enough; queue both halves.
     std::vector<std::size_t> queue(ring.size());
     for (std::size_t k = 0; k < queue.size(); ++k) queue[k] = k;
     std::vector<std::pair<double, std::size_t>> near;
-    for (std::size_t done = 0; done < queue.size(); ++done) {
-        const std::size_t node = queue[done];
+    for (std::size_t head = 0; head < queue.size(); ++head) {
+        const std::size_t node = queue[head];
         const PlanePoint b = ring.at(node), c = ring.at(ring.next(node));
         const double length2 = squared_distance(b, c);
         if (length2 < length_m * length_m) continue;
-        const double most2 = length2 / (concavity * concavity);
-        const std::size_t place = find_candidate(buckets, ring, node, most2, near);
+        const double max2 = length2 / (concavity * concavity);
+        const std::size_t place = find_candidate(buckets, ring, node, max2, near);
         if (place == NONE) continue;
         const PlanePoint p = buckets.at(place);
-        if (std::min(squared_distance(p, b), squared_distance(p, c)) > most2) continue;
+        if (std::min(squared_distance(p, b), squared_distance(p, c)) > max2) continue;
         buckets.take_out(place);
         queue.push_back(node);
         queue.push_back(ring.insert(node, p));
@@ -335,12 +334,12 @@ std::vector<PlanePoint> concave_hull(const std::vector<PlanePoint>& points, doub
 void fill_rings(const std::vector<Edge>& edges, const SquareGrid& grid, View2<bool> inside) {
     const std::size_t cells = grid.cells;
     std::fill_n(inside.data, inside.size(), false);
-    // The first cell whose center lies at a coordinate or beyond it.
+    // First cell whose center is at or beyond a coordinate.
     const auto cell_from = [&](double at_m, double corner_m) {
         const double at = (at_m - corner_m) / grid.cell_m - 0.5;
         return at > 0.0 ? std::size_t(std::ceil(std::min(at, double(cells)))) : 0;
     };
-    // 1. Flip each row where an edge crosses it; half-open in x, so that shared corners count once.
+    // 1. Toggle each row where an edge crosses it; half-open in x, so that shared corners count once.
     for (const Edge& edge : edges) {
         PlanePoint a = edge.from, b = edge.to;
         if (a.x > b.x) std::swap(a, b);
@@ -351,7 +350,7 @@ void fill_rings(const std::vector<Edge>& edges, const SquareGrid& grid, View2<bo
             if (j < cells) inside(i, j) = !inside(i, j);
         }
     }
-    // 2. Inside is what lies beyond an odd number of crossings.
+    // 2. Cells after an odd number of crossings are inside.
     for (std::size_t i = 0; i < cells; ++i) {
         for (std::size_t j = 1; j < cells; ++j) inside(i, j) = inside(i, j) != inside(i, j - 1);
     }

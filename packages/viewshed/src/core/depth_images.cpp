@@ -17,17 +17,16 @@ constexpr float NONE = std::numeric_limits<float>::infinity();
 
 constexpr const char* NO_PIXEL = "rows must lie in the sweep, ring and column in its range image";
 
-// Returns and pixels of a part that is worth a thread.
+// Fewest returns or pixels for which a part pays for its thread.
 constexpr std::size_t PART = 8192;
 
-// Consecutive returns often fall into one bin. They are counted in HISTOGRAMS in turn, so that no count waits
-// for the one before.
+// Consecutive returns often fall into one bin. HISTOGRAMS take turns, so that increments do not wait.
 constexpr std::size_t HISTOGRAMS = 4;
 
-// One bin more than there are, for returns that are not from ground.
+// One extra bin for returns that are not from the ground.
 constexpr std::size_t SECTOR_BINS = SHARE_BINS + 1;
 
-// What one part of the returns measures.
+// Measurements of one part of the returns.
 struct Part {
     explicit Part(std::size_t pixels) : depths(pixels) {
         std::fill_n(depths.data(), pixels, Depth{NONE, NONE});
@@ -38,7 +37,7 @@ struct Part {
     std::array<std::array<std::int32_t, SHARE_SECTORS * SECTOR_BINS>, HISTOGRAMS> ground{};
 };
 
-// Write the bin of range in meters of each return, the bin of the shares, and its depth if it is on an obstacle.
+// Write the one-meter range bin and the share bin of each return, and its depth if it lies on an obstacle.
 MULTIVERSION void find_bins(const float* range_m, const float* height_m, std::size_t count, float low_m, float steep_m,
                             std::int32_t* meter, std::int32_t* share, float* obstacle_m) {
     constexpr float per_bin = float(1.0 / SHARE_BIN_M);
@@ -54,7 +53,7 @@ MULTIVERSION void find_bins(const float* range_m, const float* height_m, std::si
     }
 }
 
-// Lower the depths of a part of the returns.
+// Accumulate a part of the returns.
 void measure_part(const Pixels& pixels, const Returns& returns, const std::uint8_t* sector, float low_m, float steep_m,
                   std::size_t begin, std::size_t end, Part& part) {
     const std::uint32_t rings = std::uint32_t(pixels.counts.rows), columns = std::uint32_t(pixels.counts.columns);
@@ -82,17 +81,18 @@ void measure_part(const Pixels& pixels, const Returns& returns, const std::uint8
     }
 }
 
-// Lower depths to those of another part.
+// Take the minimum with the depths of another part.
 MULTIVERSION void merge_depths(Depth* depths, const Depth* other, std::size_t count) {
     float* to = &depths->nearest_m;
     const float* from = &other->nearest_m;
     for (std::size_t k = 0; k < 2 * count; ++k) to[k] = from[k] < to[k] ? from[k] : to[k];
 }
 
-// Take returns out of the counts, of which a full one stays. Most masks are empty: eight elements are read at once.
+// Subtract masked returns from the counts; saturated counts stay. Eight elements are tested at once: masks are mostly
+// empty.
 void take_out_of_counts(const Pixels& pixels, View1<const bool> mask, View1<const bool> counted,
                         View1<std::uint8_t> counts) {
-    const auto take = [&](std::size_t n) {
+    const auto subtract = [&](std::size_t n) {
         if (!mask[n] || (counted.size > 0 && counted[n])) return;
         const std::int32_t column = read_once(pixels.column, n);
         if (column < 0) return;
@@ -106,42 +106,42 @@ void take_out_of_counts(const Pixels& pixels, View1<const bool> mask, View1<cons
         std::uint64_t eight;
         std::memcpy(&eight, mask.data + n, 8);
         if (eight == 0) continue;
-        for (std::size_t k = n; k < n + 8; ++k) take(k);
+        for (std::size_t k = n; k < n + 8; ++k) subtract(k);
     }
-    for (; n < mask.size; ++n) take(n);
+    for (; n < mask.size; ++n) subtract(n);
 }
 
 }  // namespace
 
 DepthImages depth_images(const Pixels& pixels, const Returns& returns, float low_m, float steep_m) {
     const std::size_t rings = pixels.counts.rows, columns = pixels.counts.columns, size = rings * columns;
-    // 1. Counts without what is left out; what is clutter as well is taken out once.
+    // 1. Subtract left-out returns and clutter from the counts; returns in both masks are subtracted once.
     Buffer<std::uint8_t> counts(size);
     std::copy_n(pixels.counts.data, size, counts.data());
     take_out_of_counts(pixels, pixels.left_out, {nullptr, 0}, counts);
     take_out_of_counts(pixels, pixels.clutter, pixels.left_out, counts);
 
-    // 2. Each part of the returns on images of its own.
+    // 2. Accumulate each part of the returns in its own images.
     Buffer<std::uint8_t> sector(columns);
     const float per_column = float(double(SHARE_SECTORS) / double(columns));
     for (std::size_t c = 0; c < columns; ++c) {
         sector[c] = std::uint8_t(std::min(std::size_t(float(c) * per_column), SHARE_SECTORS - 1));
     }
     const std::size_t count = returns.rows.size, parts = count_parts(count, PART);
-    std::vector<std::optional<Part>> made(parts);
+    std::vector<std::optional<Part>> part_results(parts);
     for_ranges(count, parts, [&](std::size_t k, std::size_t begin, std::size_t end) {
-        made[k].emplace(size);
-        measure_part(pixels, returns, sector.data(), low_m, steep_m, begin, end, *made[k]);
+        part_results[k].emplace(size);
+        measure_part(pixels, returns, sector.data(), low_m, steep_m, begin, end, *part_results[k]);
     });
 
-    // 3. Together: minima and sums.
+    // 3. Merge the parts by minima and sums.
     for_ranges(size, count_parts(size, PART), [&](std::size_t, std::size_t begin, std::size_t end) {
         for (std::size_t k = 1; k < parts; ++k) {
-            merge_depths(made[0]->depths.data() + begin, made[k]->depths.data() + begin, end - begin);
+            merge_depths(part_results[0]->depths.data() + begin, part_results[k]->depths.data() + begin, end - begin);
         }
     });
-    DepthImages images{rings, columns, std::move(counts), std::move(made[0]->depths), {}, {}};
-    for (const auto& part : made) {
+    DepthImages images{rings, columns, std::move(counts), std::move(part_results[0]->depths), {}, {}};
+    for (const auto& part : part_results) {
         for (std::size_t h = 0; h < HISTOGRAMS; ++h) {
             for (std::size_t b = 0; b < REACH_BINS; ++b) images.meter_counts[b] += part->meters[h][b];
             for (std::size_t s = 0; s < SHARE_SECTORS; ++s) {

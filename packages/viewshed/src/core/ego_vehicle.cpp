@@ -14,41 +14,41 @@
 namespace viewshed {
 namespace {
 
-// Returns of hood and trunk: from this horizontal range on, so far below the sensor, and above any ground.
+// Returns of hood and trunk: beyond this horizontal range, this far below the sensor, and above any ground.
 constexpr float NEAR_M = 1.2f, BELOW_M = 0.05f;
-constexpr int FEWEST = 40;
+constexpr int MIN_RETURNS = 40;
 
-// Least concentration of the doubled azimuths of these returns: they lie ahead and behind, not all around.
+// Required concentration of the doubled azimuths of these returns: they lie ahead and behind, not all around.
 constexpr double ALONG = 0.4;
 
-// A share INSIDE of them lies in the turned box, BOTH_ENDS at each of its ends: a car beside lies at one side alone, ...
+// Required shares in the turned box, and at each of its ends (a parked car lies at one end only), ...
 constexpr double INSIDE = 0.9, BOTH_ENDS = 0.15;
 
-// ... unless at least ROOF returns are nearer still: then the sensor sees the roof that it stands on, ...
+// ... unless at least ROOF returns are nearer still, i.e. the sensor sees the roof it stands on, ...
 constexpr int ROOF = 200;
 
-// ... and the returns at the one end spread so far across (root mean square): a person beside does not.
+// ... and the returns spread this far across (RMS), unlike a person beside the vehicle.
 constexpr double WIDE_M = 0.3;
 
-// At most this share of these returns is as near but higher: a wall is higher than the sensor, a hood is not.
-constexpr double MOST_ABOVE = 0.2;
+// Largest share of equally near but higher returns: a wall rises above the sensor, a hood does not.
+constexpr double MAX_ABOVE = 0.2;
 
-// Headings within this of the sensor's x axis are taken as along it.
+// Headings within this angle of the sensor's x axis are set to 0.
 constexpr double ALIGNED = 20.0 * std::numbers::pi / 180.0;
 
-// Points of a part that is worth a thread.
+// Fewest points for which a part pays for its thread.
 constexpr std::size_t PART = 16384;
 
-// Points (3, BLOCK) in a level frame, and which of them are near.
+// Points (3, BLOCK) in a level frame, and a mask of near ones.
 struct Block {
     float x[BLOCK], y[BLOCK], z[BLOCK];
     std::uint8_t is_near[BLOCK];
 };
 
-// Turn the points of a block and mark those near the sensor and above any ground.
+// Rotate the points of a block and mark those near the sensor and above any ground.
 MULTIVERSION void turn_block(const float* points, std::size_t count, const float* rotation, Block& block) {
     constexpr float far2 = float(EGO_LENGTH_M * EGO_LENGTH_M), lowest = float(-LEAST_EGO_HEIGHT_M);
-    // A copy of the numbers: the compiler cannot know that the loops do not write them.
+    // Copy the rotation: the compiler cannot know that the loops do not write it.
     std::array<float, 9> r;
     std::copy_n(rotation, 9, r.begin());
     for (std::size_t k = 0; k < count; ++k) {
@@ -63,14 +63,14 @@ MULTIVERSION void turn_block(const float* points, std::size_t count, const float
     }
 }
 
-// What a part of the points has of returns near the sensor: on the roof, higher than a hood, and of hood and trunk.
+// Returns near the sensor: on the roof, higher than a hood, and on hood or trunk.
 struct NearReturns {
     int roof = 0, above = 0;
     std::vector<std::array<float, 2>> hood;  // x and y
 };
 
 void collect_near(const Block& block, std::size_t count, NearReturns& found) {
-    // Most blocks have none, or few: eight marks are looked at at once.
+    // Most blocks have few marks: test eight at once.
     for (std::size_t start = 0; start < count; start += 8) {
         std::uint64_t eight;
         std::memcpy(&eight, block.is_near + start, 8);
@@ -100,7 +100,7 @@ NearReturns find_near(View2<const float> points, View2<const float> rotation) {
             collect_near(block, count, found[part]);
         }
     });
-    // Together, in the order of the points.
+    // Concatenate in the order of the points.
     for (std::size_t part = 1; part < parts; ++part) {
         found[0].roof += found[part].roof;
         found[0].above += found[part].above;
@@ -112,7 +112,7 @@ NearReturns find_near(View2<const float> points, View2<const float> rotation) {
 }  // namespace
 
 double vehicle_heading(View2<const float> points, View2<const float> rotation) {
-    // 1. The mean of the doubled azimuths of hood and trunk: cos 2a = (x² - y²) / r², sin 2a = 2 x y / r².
+    // 1. Mean of the doubled azimuths of hood and trunk: cos 2a = (x² - y²) / r², sin 2a = 2 x y / r².
     const NearReturns near = find_near(points, rotation);
     const double count = double(near.hood.size());
     double cosine = 0.0, sine = 0.0;
@@ -121,10 +121,10 @@ double vehicle_heading(View2<const float> points, View2<const float> rotation) {
         cosine += double((x * x - y * y) / r2);
         sine += double(2.0f * x * y / r2);
     }
-    if (count < FEWEST || std::hypot(cosine, sine) < ALONG * count) return 0.0;
+    if (count < MIN_RETURNS || std::hypot(cosine, sine) < ALONG * count) return 0.0;
     const double heading = 0.5 * std::atan2(sine, cosine);
     if (std::fabs(heading) < ALIGNED) return 0.0;
-    // 2. They must fill a box with that heading, at both of its ends or below a roof.
+    // 2. They must fill a box with that heading, at both ends or below a roof.
     const float cos = float(std::cos(heading)), sin = float(std::sin(heading));
     int ahead = 0, behind = 0;
     double across2 = 0.0;
@@ -135,7 +135,7 @@ double vehicle_heading(View2<const float> points, View2<const float> rotation) {
     }
     const bool is_hood = near.roof >= ROOF && across2 >= WIDE_M * WIDE_M * count;
     const bool has_ends = is_hood || std::min(ahead, behind) >= BOTH_ENDS * count;
-    const bool is_vehicle = has_ends && ahead + behind >= INSIDE * count && near.above <= MOST_ABOVE * count;
+    const bool is_vehicle = has_ends && ahead + behind >= INSIDE * count && near.above <= MAX_ABOVE * count;
     return is_vehicle ? heading : 0.0;
 }
 

@@ -13,44 +13,44 @@
 namespace viewshed {
 namespace {
 
-// Fewer clusters are no sensor, more are noise; clouds with fewer returns do not show clusters.
+// Limits of the number of clusters; fewer are no sensor, more are noise. Fewer returns show no clusters.
 constexpr std::size_t FEWEST_RINGS = 4, MOST_RINGS = 256, FEWEST_RETURNS = 256;
 
-// Widths of the bins of a histogram of elevations, in their sine: hundredths and tenths of a degree at the horizon.
+// Bin widths of elevation histograms, in the sine: 0.01° and 0.1° at the horizon.
 constexpr double DEGREE = std::numbers::pi / 180;
 constexpr double BIN = 0.01 * DEGREE, COARSE_BIN = 0.1 * DEGREE;
 
-// Half widths of the windows, in bins of a hundredth of a degree, in which the elevations of a beam may scatter.
+// Half widths of the windows in fine bins: how far the elevations of a beam may scatter.
 constexpr std::array<int, 5> HALF_WIDTHS{1, 2, 4, 8, 16};
 
-constexpr double LEAST_IN_CLUSTER = 8.0;
+constexpr double MIN_CLUSTER_SIZE = 8.0;
 
-// Low robots see the ground from this horizontal range on.
+// Nearer returns are ignored; low robots see the ground from this horizontal range on.
 constexpr float NEAREST_M = 0.4f;
 
-// Clusters are better than others if they explain more by this.
-constexpr double CLEARLY = 0.01;
+// Margin in explained share by which clusters must be better than others.
+constexpr double MARGIN = 0.01;
 
-// Returns by which clusters are judged, and by which their origin is found.
+// Sample sizes to score clusters, and to search their origin.
 constexpr std::size_t SAMPLE = 4096, FEW = 2048;
 
-// Heights of the beams' origin above the sensor's that are tried, in steps from the first to the last: Ouster counts from
-// 36 mm below, KITTI from 0.2 m. Then finer steps around the best.
+// Tested heights of the beams' origin above the sensor's, in steps from first to last: Ouster has 36 mm below, KITTI
+// 0.2 m. Finer steps follow around the best.
 constexpr double HEIGHT_STEP_M = 0.03, FINE_STEP_M = 0.005;
 constexpr int FIRST_HEIGHT = -5, LAST_HEIGHT = 10, FINE_STEPS = 4;
 
-// Radii that are tried of the circle on which the beams start: Ouster's are 15.8 and 27.7 mm.
+// Tested radii of the circle on which the beams start: Ouster's are 15.8 and 27.7 mm.
 constexpr std::array<double, 3> RADII_M{0.0, 0.0158, 0.0277};
 
-// Two clusters may be one beam's if the gap between them is less than this share of the wider one beside them, ...
+// Two clusters may be one beam if the gap between them is less than this share of the wider neighboring gap, ...
 constexpr double SPLIT_GAP = 0.6;
 
-// ... and fewer than this share of their sectors return more than 1.3 times as much as a full sector of one beam.
+// ... and fewer than DOUBLE_SHARE of their sectors return more than DOUBLE times a full sector of one beam.
 constexpr double FULL_SECTOR = 0.95, DOUBLE = 1.3, DOUBLE_SHARE = 0.2;
-constexpr int MOST_PARTS = 3;
+constexpr int MAX_MERGES = 3;
 constexpr std::size_t SECTORS = 360;
 
-// Least share of the returns, beyond what chance gives, that must lie at the clusters' elevations.
+// Required share of returns at the clusters' elevations, in excess of chance.
 constexpr double SHARPNESS = 0.85;
 
 constexpr std::size_t PART = 32768;
@@ -61,8 +61,8 @@ struct Origin {
     bool operator==(const Origin&) const = default;
 };
 
-// Write where in a histogram the elevations seen from an origin lie, -1 for near returns. The sine costs a square root
-// where the angle costs an arctangent.
+// Write the histogram position of each elevation seen from an origin, -1 for near returns. The sine is cheaper than the
+// angle.
 MULTIVERSION void place_block(const float* slope, const float* range_m, std::size_t count, float height_m,
                               float radius_m, float per_sine, float most, std::int32_t* position) {
     for (std::size_t k = 0; k < count; ++k) {
@@ -74,7 +74,7 @@ MULTIVERSION void place_block(const float* slope, const float* range_m, std::siz
     }
 }
 
-// The histogram of the elevations seen from an origin, of returns beyond 0.4 m, in equal bins of their sine.
+// Return the histogram of elevations seen from an origin, over returns beyond 0.4 m, in equal bins of the sine.
 std::vector<std::int32_t> count_elevations(View1<const float> slope, View1<const float> range_m, Origin origin,
                                            double bin_sine) {
     const auto bins = std::size_t(std::ceil(2.0 / bin_sine));
@@ -97,11 +97,11 @@ std::vector<std::int32_t> count_elevations(View1<const float> slope, View1<const
     return std::move(counts[0]);
 }
 
-// The elevations in radians of the peaks of a histogram, ascending.
+// Return the elevations in radians of the peaks of a histogram, ascending.
 //
-// The histogram is smoothed by a triangle of `half_width` bins to either side and walked through once: a maximum of at
-// least `least` is a peak once the curve has fallen to half of it, and the next one begins once the curve has risen to
-// twice the lowest value since. A peak lies at the mean of the returns in its window.
+// The histogram is smoothed by a triangle of `half_width` bins to either side and scanned once. A maximum of at least
+// `least` is a peak once the curve has fallen to half of it; the next one starts once the curve has risen to twice the
+// lowest value since. A peak lies at the mean of the returns in its window.
 std::vector<double> find_peaks(const std::vector<std::int32_t>& counts, int half_width, double least) {
     const int bins = int(counts.size());
     std::vector<double> smooth(counts.size(), 0.0);
@@ -141,41 +141,41 @@ std::vector<double> find_peaks(const std::vector<std::int32_t>& counts, int half
     return peaks;
 }
 
-// The clusters of returns at the best width, judged by few of them; none where none is sharp.
-std::optional<ElevationClusters> clusters_seen_from(Origin origin, const Directions& seen, const Elevations& few) {
-    const std::vector<std::int32_t> counts = count_elevations(seen.slope, seen.range_m, origin, BIN);
+// Return the clusters at the best window width, scored on a sample; none if no width is sharp.
+std::optional<ElevationClusters> clusters_seen_from(Origin origin, const Directions& directions, const Elevations& few) {
+    const std::vector<std::int32_t> counts = count_elevations(directions.slope, directions.range_m, origin, BIN);
     std::optional<ElevationClusters> best;
     double best_share = SHARPNESS;
     for (const int half_width : HALF_WIDTHS) {
-        std::vector<double> elevation = find_peaks(counts, half_width, LEAST_IN_CLUSTER);
+        std::vector<double> elevation = find_peaks(counts, half_width, MIN_CLUSTER_SIZE);
         if (elevation.size() < FEWEST_RINGS || elevation.size() > MOST_RINGS) continue;
         std::vector<double> origin_m;
         for (const double e : elevation) origin_m.push_back(origin.height_m - origin.radius_m * std::tan(e));
         const BeamTable table(std::move(elevation), std::move(origin_m), 0);
         const double share = match_beams({few.slope.data(), few.slope.size()}, {few.range_m.data(), few.range_m.size()},
                                          table).excess;
-        if (share > best_share + (best ? CLEARLY : 0.0)) {
+        if (share > best_share + (best ? MARGIN : 0.0)) {
             best = ElevationClusters{table.elevation, table.origin_m, share};
             best_share = share;
         }
-        if (best_share > 1.0 - CLEARLY) break;
+        if (best_share > 1.0 - MARGIN) break;
     }
     return best;
 }
 
-// The origin from which the elevations of points gather most: its height, and the radius in meters. Beams that start on a
-// circle of a radius meet the axis lower by its share of the tangent of their elevation.
+// Return the origin from which the elevations cluster most: its height, and its radius in meters. A beam that starts on
+// a circle of this radius meets the axis lower by radius · tan(elevation).
 Origin find_origin(View1<const float> slope, View1<const float> range_m) {
-    const auto gathered = [&](Origin origin) {
+    const auto concentration = [&](Origin origin) {
         std::int64_t squares = 0;
         for (const std::int64_t count : count_elevations(slope, range_m, origin, COARSE_BIN)) squares += count * count;
         return std::pair(squares, -std::abs(origin.height_m) - origin.radius_m);
     };
     const auto best_of = [&](const std::vector<Origin>& origins) {
         auto best = origins.front();
-        auto most = gathered(best);
+        auto most = concentration(best);
         for (std::size_t k = 1; k < origins.size(); ++k) {
-            const auto here = gathered(origins[k]);
+            const auto here = concentration(origins[k]);
             if (here > most) {
                 most = here;
                 best = origins[k];
@@ -192,7 +192,7 @@ Origin find_origin(View1<const float> slope, View1<const float> range_m) {
     return best_of(around);
 }
 
-// Returns (rings × 360) of each ring in each degree of azimuth.
+// Count returns (rings × 360) by ring and degree of azimuth.
 Buffer<std::int32_t> count_sectors(View1<const std::int16_t> ring, View1<const float> azimuth, std::size_t rings) {
     Buffer<std::int32_t> counts(rings * SECTORS, 0);
     constexpr float PER_RAD = float(180.0 / std::numbers::pi);
@@ -204,24 +204,24 @@ Buffer<std::int32_t> count_sectors(View1<const std::int16_t> ring, View1<const f
     return counts;
 }
 
-// How many returns of one beam are in a full sector: a quantile of those in which something returned.
+// Return the number of returns of one beam in a full sector: a quantile over non-empty sectors.
 double full_sector(const Buffer<std::int32_t>& counts) {
-    std::vector<std::int32_t> some;
-    std::copy_if(counts.data(), counts.data() + counts.size(), std::back_inserter(some),
+    std::vector<std::int32_t> nonempty;
+    std::copy_if(counts.data(), counts.data() + counts.size(), std::back_inserter(nonempty),
                  [](std::int32_t count) { return count > 0; });
-    if (some.empty()) return 0.0;
-    std::sort(some.begin(), some.end());
-    const double at = FULL_SECTOR * double(some.size() - 1);
+    if (nonempty.empty()) return 0.0;
+    std::sort(nonempty.begin(), nonempty.end());
+    const double at = FULL_SECTOR * double(nonempty.size() - 1);
     const auto below = std::size_t(at);
-    const double a = some[below], b = some[std::min(below + 1, some.size() - 1)], part = at - double(below);
+    const double a = nonempty[below], b = nonempty[std::min(below + 1, nonempty.size() - 1)], part = at - double(below);
     return part >= 0.5 ? b - (b - a) * (1.0 - part) : a + (b - a) * part;
 }
 
-// Join the clusters that are one beam's: together they return no more than one beam would. Whether any were.
+// Merge clusters of the same beam: together they return no more than one beam would. Return whether any were merged.
 //
-// A beam that starts away from the origin is seen under two elevations where it meets surfaces at two ranges. Two beams
-// return from the same sector, one beam from either of its clusters.
-bool join_split_beams(ElevationClusters& clusters, const Directions& seen) {
+// A beam that starts away from the origin appears at two elevations if it meets surfaces at two ranges. Two beams
+// return from the same sector; one beam returns from either of its clusters.
+bool join_split_beams(ElevationClusters& clusters, const Directions& directions) {
     const std::vector<double>& elevation = clusters.elevation;
     const std::size_t count = elevation.size();
     std::vector<double> gap(count - 1);
@@ -232,11 +232,11 @@ bool join_split_beams(ElevationClusters& clusters, const Directions& seen) {
         if (gap[k] < SPLIT_GAP * std::max(below, above)) close.push_back(k);
     }
     if (close.empty()) return false;
-    // 1. Returns of each cluster by sector, and how many of one beam are in a full one.
-    const BeamMatch match = match_beams(seen.slope, seen.range_m, BeamTable(elevation, clusters.origin_m, 0));
-    const Buffer<std::int32_t> counts = count_sectors(match.ring, seen.azimuth, count);
+    // 1. Count the returns of each cluster by sector, and of one beam in a full sector.
+    const BeamMatch match = match_beams(directions.slope, directions.range_m, BeamTable(elevation, clusters.origin_m, 0));
+    const Buffer<std::int32_t> counts = count_sectors(match.ring, directions.azimuth, count);
     const double full = full_sector(counts);
-    // 2. Pairs that are close and do not return twice as much: from the closest on, no cluster in two of them.
+    // 2. Keep close pairs that do not return twice as much. Merge them from the closest on, each cluster at most once.
     std::erase_if(close, [&](std::size_t k) {
         std::int64_t doubled = 0, filled = 0;
         for (std::size_t s = 0; s < SECTORS; ++s) {
@@ -266,40 +266,40 @@ bool join_split_beams(ElevationClusters& clusters, const Directions& seen) {
         joined.elevation.push_back(mean[k]);
         joined.origin_m.push_back(clusters.origin_m[k]);
     }
-    const bool some = joined.elevation.size() < count;
+    const bool any_merged = joined.elevation.size() < count;
     clusters = std::move(joined);
-    return some;
+    return any_merged;
 }
 
 }  // namespace
 
-std::optional<ElevationClusters> find_clusters(const Directions& seen) {
-    if (seen.size() < FEWEST_RETURNS) return std::nullopt;
+std::optional<ElevationClusters> find_clusters(const Directions& directions) {
+    if (directions.size() < FEWEST_RETURNS) return std::nullopt;
     Elevations few;
-    for (const std::uint32_t row : random_rows(seen.size(), SAMPLE)) {
-        few.slope.push_back(seen.slope[row]);
-        few.range_m.push_back(seen.range_m[row]);
+    for (const std::uint32_t row : random_rows(directions.size(), SAMPLE)) {
+        few.slope.push_back(directions.slope[row]);
+        few.range_m.push_back(directions.range_m[row]);
     }
-    // Most sensors' beams start at the origin. Where they gather less than sharply, look for another one.
+    // Most sensors' beams start at the origin. If clusters are not sharp there, search for another origin.
     constexpr Origin SENSOR{0.0, 0.0};
-    std::optional<ElevationClusters> best = clusters_seen_from(SENSOR, seen, few);
-    if (!best || best->sharpness < 1.0 - CLEARLY) {
+    std::optional<ElevationClusters> best = clusters_seen_from(SENSOR, directions, few);
+    if (!best || best->sharpness < 1.0 - MARGIN) {
         const Origin origin = find_origin({few.slope.data(), FEW}, {few.range_m.data(), FEW});
         if (origin != SENSOR) {
-            std::optional<ElevationClusters> other = clusters_seen_from(origin, seen, few);
+            std::optional<ElevationClusters> other = clusters_seen_from(origin, directions, few);
             if (other && (!best || other->sharpness > best->sharpness)) best = std::move(other);
         }
     }
     if (!best) return best;
-    for (int k = 0; k < MOST_PARTS && join_split_beams(*best, seen); ++k) {
+    for (int k = 0; k < MAX_MERGES && join_split_beams(*best, directions); ++k) {
     }
     return best;
 }
 
-std::optional<ClusteredRings> rings_by_clusters(const Directions& seen) {
-    std::optional<ElevationClusters> clusters = find_clusters(seen);
+std::optional<ClusteredRings> rings_by_clusters(const Directions& directions) {
+    std::optional<ElevationClusters> clusters = find_clusters(directions);
     if (!clusters) return std::nullopt;
-    BeamMatch match = match_beams(seen.slope, seen.range_m, BeamTable(clusters->elevation, clusters->origin_m, 0));
+    BeamMatch match = match_beams(directions.slope, directions.range_m, BeamTable(clusters->elevation, clusters->origin_m, 0));
     const std::size_t count = clusters->elevation.size();
     return ClusteredRings{{std::move(match.ring), count}, std::move(*clusters)};
 }

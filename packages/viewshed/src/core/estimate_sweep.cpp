@@ -16,14 +16,14 @@
 namespace viewshed {
 namespace {
 
-// As viewshed.preprocess.leveling has them.
+// Same values as in viewshed.preprocess.leveling.
 constexpr double NULL_RANGE_M = 0.5, MAX_RANGE_M = 250.0;
 constexpr float LOW_M = 0.3f, HIGH_M = 3.0f;
 
-// Columns of a revolution where the sensor is not known.
+// Columns of a revolution for an unknown sensor.
 constexpr std::size_t DEFAULT_COLUMNS = 1024;
 
-// The rings (N,) of a sweep, its own or recovered ones, and its sensor; none of either where nothing shows it.
+// Rings (N,) of a sweep, its own or recovered ones, and its sensor; either may be missing.
 struct Identity {
     std::optional<Buffer<std::int16_t>> recovered;
     std::optional<View1<const std::int16_t>> own;
@@ -45,7 +45,7 @@ Identity identify(const SweepInput& sweep, const SensorModel* expected) {
     return {std::move(found.ring), sweep.ring, found.sensor < 0 ? model : sensors[std::size_t(found.sensor)]};
 }
 
-// A sweep with one return of each beam.
+// A sweep reduced to the farthest return of each beam.
 struct OneReturnABeam {
     SweepInput sweep;
     std::optional<Buffer<float>> points;
@@ -64,7 +64,7 @@ struct OneReturnABeam {
     }
 };
 
-// Where the beams of a range image point, and what of it says which beams are missing.
+// A range image and the directions of its beams.
 struct BeamImage {
     View1<const std::int16_t> ring;
     const RangeImage* image;
@@ -94,18 +94,19 @@ SplitBeams split_by_image(const BeamImage& beams, const SweepLevel& at, double t
     return split;
 }
 
-// The beams of a sweep by what is known of their depth; viewshed.preprocess.no_return.beams_by_evidence.
+// Split the beams of a sweep by what is known of their depth; see viewshed.preprocess.no_return.beams_by_evidence.
 SplitBeams split_beams(const SweepInput& sweep, const UnleveledSweep& limits, const Identity& identity, const SweepLevel& at,
                        double top_m) {
     const bool is_sure_of_height = sweep.height_m || at.ground.support >= LEAST_SUPPORT;
     if (const auto ring = identity.ring(); ring && is_sure_of_height) {
-        // 1. The range image, if its pixels are beams: elevations are known, and rings about as full as the columns are many.
+        // 1. Use the range image if its pixels are beams: known elevations, and about one return per column in full
+        // rings.
         if (identity.model != nullptr && at.image && at.image->has_full_rings) {
             const BeamTable& table = identity.model->beams;
             const View1<const double> elevation{table.elevation.data(), table.rings()};
             return split_by_image({*ring, &*at.image, elevation, {table.origin_m.data(), table.rings()}}, at, top_m);
         }
-        // 2. Else one by its rings and the columns and elevations that are measured with them.
+        // 2. Else build one from its rings, with columns and elevations measured from the points.
         const BeamTable* table = identity.model == nullptr ? nullptr : &identity.model->beams;
         const RingAssignment found = recover_rings(sweep.points, ring, table);
         if (found.source != RingSource::ELEVATION_BINS) {
@@ -116,7 +117,7 @@ SplitBeams split_beams(const SweepInput& sweep, const UnleveledSweep& limits, co
             return split_by_image({found.ring, &image, found.elevation, origin_m}, at, top_m);
         }
     }
-    // 3. Over doubtful ground, or where it is not known which beams a sweep lacks, it has measured ones alone.
+    // 3. With doubtful ground or unknown missing beams, use measured beams only.
     SplitBeams split{Buffer<float>(at.level.count), std::nullopt};
     beam_slopes({at.level.points.data(), at.level.count, 3}, at.level.range_m, float(at.height_m), {nullptr, 0}, at.level.rows,
                 split.slope);
@@ -129,7 +130,7 @@ LostBeams lost_beams(const std::optional<NoReturnBeams>& beams) {
     return {some(beams->azimuth), some(beams->slope), {some(beams->depth_m), some(beams->early_m), some(beams->late_m)}};
 }
 
-// How far the sensor sees a dark target.
+// Return the range in meters up to which the sensor sees a dark target.
 double reach_of(const SensorModel* model) {
     if (model == nullptr) return USUAL_REACH_M;
     return model->reach_m.value_or(std::min(USUAL_REACH_M, model->max_range_m));
@@ -169,18 +170,18 @@ View1<const std::int32_t> SweepEstimator::nodes_of_cells(std::size_t nodes) cons
 }
 
 SweepEstimate SweepEstimator::estimate(const SweepInput& given, const SensorModel* expected) const {
-    // 1. One return of each beam; the rings and the sensor.
+    // 1. Keep one return of each beam; identify rings and sensor.
     const OneReturnABeam one(given);
     const SweepInput& sweep = one.sweep;
     const Identity identity = identify(sweep, expected);
     const SensorModel* const model = identity.model;
     const auto ring = identity.ring();
-    // 2. Level: range image, attitude, ground, points above it.
-    const std::size_t most_ring = ring && ring->size > 0 ? std::size_t(*std::max_element(ring->begin(), ring->end()) + 1) : 0;
+    // 2. Level the sweep: range image, attitude, ground, points above it.
+    const std::size_t ring_count = ring && ring->size > 0 ? std::size_t(*std::max_element(ring->begin(), ring->end()) + 1) : 0;
     const UnleveledSweep unleveled{
         sweep.points,
         ring,
-        model == nullptr ? most_ring : model->beams.rings(),
+        model == nullptr ? ring_count : model->beams.rings(),
         model == nullptr ? DEFAULT_COLUMNS : std::size_t(model->beams.columns),
         float(sweep.model == nullptr ? NULL_RANGE_M : std::max(NULL_RANGE_M, sweep.model->min_range_m)),
         float(sweep.model == nullptr ? MAX_RANGE_M : sweep.model->max_range_m),
@@ -191,10 +192,10 @@ SweepEstimate SweepEstimator::estimate(const SweepInput& given, const SensorMode
     };
     SweepLevel at = level_sweep(unleveled);
     if (refine_ground_) refine_ground_(sweep, at);
-    // 3. Beams by what is known of their depth, and how far the sensor sees.
+    // 3. Split beams by what is known of their depth; determine the sensor's reach.
     const SplitBeams split = split_beams(sweep, unleveled, identity, at, target_.height_m);
     const double reach_m = reach_of(sweep.model == nullptr ? model : sweep.model);
-    // 4. The evidence of each cell.
+    // 4. Compute the evidence of each cell.
     const std::size_t cells = grid_.size();
     Buffer<float> measured(cells), inferred(cells), late(cells), aimed(cells), visible_prob(cells), calibrated(cells);
     Buffer<bool> within_reach(cells);
@@ -205,7 +206,7 @@ SweepEstimate SweepEstimator::estimate(const SweepInput& given, const SensorMode
                      {ground.heights_m, std_m, ground.half_extent_m, float(at.height_m)},
                      float(target_.height_m), probabilities_, float(reach_m),
                      {measured.data(), inferred.data(), late.data(), aimed.data(), visible_prob.data(), within_reach.data()});
-    // 5. The states: what the evidence claims, and what it denies.
+    // 5. Decide states from the cells that the evidence claims or denies.
     Buffer<bool> obstacle(cells + 1);
     const SquareCells square{float(grid_.x0_m()), float(grid_.y0_m()), float(1.0 / grid_.cell_m()), LOW_M, HIGH_M,
                              std::int32_t(grid_.cells)};
@@ -216,10 +217,10 @@ SweepEstimate SweepEstimator::estimate(const SweepInput& given, const SensorMode
     const auto bytes = [](const Buffer<bool>& mask) { return reinterpret_cast<const std::uint8_t*>(mask.data()); };
     write_states({measured.data(), late.data(), aimed.data(), visible_prob.data(), bytes(within_reach)}, probabilities_,
                  {visible.data(), denied.data(), bytes(obstacle)}, state);
-    // 6. How often what is claimed, and what is not, is visible.
+    // 6. Calibrate the probabilities of visible.
     calibrate(windows_, {measured.data(), inferred.data(), late.data(), aimed.data(), visible_prob.data()},
               {at.level.azimuth, at.level.range_m, at.level.height_m, LOW_M, HIGH_M}, probabilities_, ground.heights_m, calibrated);
-    // 7. What the estimate rests on.
+    // 7. Summarize what the estimate is based on.
     const Claims claims = count_claims(state, measured.data(), nodes_of_cells(nodes).data, std_m.flat(), probabilities_);
     const double claimed = double(std::max<std::size_t>(claims.all, 1));
     const HeightSource source = sweep.height_m                 ? HeightSource::GIVEN

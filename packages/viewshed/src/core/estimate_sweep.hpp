@@ -1,5 +1,5 @@
-// From the points of a sweep to its field of view, by the default way: identify the sensor, level, split beams by evidence,
-// decide states. What viewshed.estimators.shadow_map does with one sweep.
+// Estimate the field of view of a sweep by the default method: identify the sensor, level, split beams by evidence,
+// decide states. It does what viewshed.estimators.shadow_map does with one sweep.
 #pragma once
 
 #include <functional>
@@ -15,7 +15,7 @@ namespace viewshed {
 
 // A square grid in the level frame; viewshed.grid.BevGrid.
 struct BevGrid {
-    std::size_t cells;  // of a side
+    std::size_t cells;  // per side
     double half_extent_m, offset_x_m, offset_y_m;
 
     double cell_m() const { return 2.0 * half_extent_m / double(cells); }
@@ -24,13 +24,13 @@ struct BevGrid {
     std::size_t size() const { return cells * cells; }
 };
 
-// What would have to be seen: the side that beams must fall on, height, returns from which on it counts as seen.
+// The target: width across the line of sight, height, and the number of returns from which it counts as seen.
 struct Target {
     double width_m, height_m;
     int min_returns;
 };
 
-// A sweep by itself: what is known beside its points (N, 3), which must be finite.
+// Points (N, 3) of a sweep, which must be finite, and what else is known of it.
 struct SweepInput {
     View2<const float> points;
     std::optional<View1<const std::int16_t>> ring;  // (N,), 0 the lowest beam

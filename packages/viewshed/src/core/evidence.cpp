@@ -10,24 +10,24 @@
 namespace viewshed {
 namespace {
 
-// Means of a table of probabilities from one step to the next: 1 / STEPS.
+// Resolution of probability tables: steps per unit of the mean.
 constexpr int STEPS = 32;
 
-// Where a cell needs this many returns or more, its probability is 0 or 1.
+// From more required returns than this on, the Poisson probability is approximated as 0 or 1.
 constexpr int MANY_RETURNS = 100;
 
-// Heights of the ground, in standard deviations, and the weight of each; the height itself has what is left. Together they have
-// nearly the variance of a normal distribution.
+// Offsets of the ground in standard deviations, and the weight of each; the estimated height has the rest. Their
+// variance is nearly that of a normal distribution.
 constexpr std::array<float, 2> GROUND_STEPS{-1.22f, 1.22f};
 constexpr float STEP_WEIGHT = 0.3f, OWN_WEIGHT = 1.0f - STEP_WEIGHT - STEP_WEIGHT;
 
-// Weight of the early and of the late ends of beams without a return; the likely ones have what is left.
+// Weight of the early and of the late depths of no-return beams; the likely depths have the rest.
 constexpr float END_WEIGHT = 0.3f;
 
-// The largest probability below the threshold.
+// Largest probability below the threshold.
 const float BELOW_THRESHOLD = std::nextafter(THRESHOLD, 0.0f);
 
-// Cells of a part that is worth a thread.
+// Fewest cells for which a part pays for its thread.
 constexpr std::size_t PART = 16384;
 
 }  // namespace
@@ -35,27 +35,27 @@ constexpr std::size_t PART = 16384;
 Buffer<float> poisson_table(int min_returns) {
     const int top = min_returns + 10 * int(std::sqrt(double(min_returns))) + 10;
     Buffer<float> table(std::size_t(top) * STEPS + 1);
-    double most = 0.0;
+    double max_prob = 0.0;
     for (std::size_t k = 0; k < table.size(); ++k) {
         const double mean = double(k) / STEPS;
         double prob = mean >= min_returns ? 1.0 : 0.0;
         if (min_returns <= MANY_RETURNS) {
-            double below = 0.0, term = 1.0;  // P(N < min_returns), less the factor exp(-mean)
+            double below = 0.0, term = 1.0;  // P(N < min_returns) / exp(-mean)
             for (int n = 0; n < min_returns; ++n) {
                 below += term;
                 term *= mean / (n + 1);
             }
             prob = std::clamp(1.0 - below * std::exp(-mean), 0.0, 1.0);
         }
-        most = std::max(most, prob);
-        table[k] = float(most);
+        max_prob = std::max(max_prob, prob);
+        table[k] = float(max_prob);
     }
     return table;
 }
 
 namespace {
 
-// The probability at a mean that is not negative (0 if it is, or if it is not a number).
+// Lookup of a probability by its mean; negative means and NaN give the probability at 0.
 struct Probabilities {
     const float* table;
     float last;
@@ -76,7 +76,7 @@ INLINE void write_returns(const float* __restrict sums, std::size_t size, float*
     for (std::size_t n = 0; n < size; ++n) out[n] = sums[n] > 0.0f ? sums[n] : 0.0f;
 }
 
-// Write the evidence of the cells [first, first + size) from their sums (LANES, size).
+// Write the evidence of cells [first, first + size) from their sums (LANES, size).
 MULTIVERSION void judge_block(const float (*lanes)[CellCounts::BLOCK], std::size_t first, std::size_t size,
                               const float* range_m, const Probabilities& probabilities_, float reach_m,
                               const Evidence& to) {
@@ -90,7 +90,7 @@ MULTIVERSION void judge_block(const float (*lanes)[CellCounts::BLOCK], std::size
     const float *__restrict early = lanes[EARLY], *__restrict late = to.late + first;
     const float *__restrict lower = lanes[LOWER], *__restrict higher = lanes[HIGHER];
     float* __restrict const visible_prob = to.visible_prob + first;
-    // The steps become vectors, the look-ups do not.
+    // Computing the steps vectorizes, the look-ups do not: separate loops.
     std::int32_t step[CellCounts::BLOCK], step_if_lower[CellCounts::BLOCK], step_if_higher[CellCounts::BLOCK];
     std::int32_t step_if_early[CellCounts::BLOCK], step_if_late[CellCounts::BLOCK];
     for (std::size_t n = 0; n < size; ++n) {
@@ -111,12 +111,12 @@ MULTIVERSION void judge_block(const float (*lanes)[CellCounts::BLOCK], std::size
     }
     for (std::size_t n = 0; n < size; ++n) {
         const float supported = supported_by[n];
-        // The average over the heights of the ground, and what other ends of the beams change.
+        // Average over the ground heights, plus the change by early and late depths.
         const float over_ground = OWN_WEIGHT * supported + STEP_WEIGHT * if_lower[n] + STEP_WEIGHT * if_higher[n];
         const float changed = END_WEIGHT * (if_early[n] - supported) + END_WEIGHT * (if_late[n] - supported);
         const float sum = over_ground + changed, positive = sum > 0.0f ? sum : 0.0f;
         const float prob = positive < 1.0f ? positive : 1.0f;
-        // No claim rests on other heights of the ground alone, and none lies beyond the reach, where things may be too dark.
+        // A claim needs support at the estimated ground height, and lies within reach: farther things may be too dark.
         const float cut = prob < below_threshold ? prob : below_threshold;
         visible_prob[n] = (supported >= THRESHOLD) & (range_m[first + n] <= reach_m) ? prob : cut;
     }
@@ -147,19 +147,19 @@ void measure_evidence(const CellWindows& windows, const Beams& measured, const L
 
 namespace {
 
-// The mean from which on a probability is reached; +inf where none is. A mean is compared faster than it is looked up.
+// Return the least mean with this probability, +inf if none has it. Comparing means is faster than looking up.
 float mean_of(View1<const float> table, float prob) {
     const float* const first = std::lower_bound(table.begin(), table.end(), prob);
     return first == table.end() ? std::numeric_limits<float>::infinity() : float(first - table.begin()) / STEPS;
 }
 
-// What an estimator's cells must have: enough returns, and a sure aim.
+// Required mean returns of a claim, and required mean of aimed beams of a hidden cell.
 struct Support {
     SupportedCells of;
     float enough, sure_aim;
 };
 
-// By bytes of 0 or 1, which become vectors, as bools do not.
+// Write the states of cells [begin, end). Bytes of 0 or 1 vectorize, bools do not.
 MULTIVERSION void write_range(const Support& support_, const std::uint8_t* visible, const std::uint8_t* denied,
                               const std::uint8_t* obstacle, std::size_t begin, std::size_t end,
                               std::uint8_t* __restrict state) {
@@ -174,7 +174,7 @@ MULTIVERSION void write_range(const Support& support_, const std::uint8_t* visib
     }
 }
 
-// Count them over some cells; is_unsure says whether the ground of each node is. By bytes, which become vectors.
+// Count claims; is_unsure (nodes,) marks nodes with unsure ground. Integers vectorize, bools do not.
 MULTIVERSION Claims count_claims(const std::uint8_t* state, const float* measured, const std::int32_t* node,
                                  std::size_t cells, const std::int32_t* is_unsure, float enough) {
     std::int32_t all = 0, over_unsure_ground = 0, inferred = 0;

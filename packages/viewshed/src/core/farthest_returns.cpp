@@ -11,27 +11,27 @@
 namespace viewshed {
 namespace {
 
-// Two returns are of one beam if their directions differ by less than an angle and by what a grain of the coordinates turns the
-// nearer one; beams lie farther apart. Those of one ring may differ more in elevation: beams begin beside the sensor's middle.
+// Two returns are of one beam if their directions differ by less than an angle plus what a coordinate quantum (grain_m)
+// turns the nearer one. Within a ring the elevation may differ more: beams start beside the sensor's center.
 constexpr float LARGEST_ANGLE = 5e-4f, ANGLE_OF_RING = 4e-3f;
 struct Tolerance {
     float angle, grain_m;
 };
-constexpr Tolerance USUAL{5e-5f, 1e-3f};
+constexpr Tolerance TOLERANCE{5e-5f, 1e-3f};
 
-// Whether there are beams with several returns is asked with this one: a near and a far return of two beams beside each other
-// point nearly the same way where the sensor moved from one to the next.
+// Stricter tolerance to decide if beams have several returns: with a moving sensor, a near and a far return of adjacent
+// beams point in nearly the same direction.
 constexpr Tolerance EXACT{2e-5f, 2e-4f};
 
-// Nearer returns are none: many sensors report zeros for beams without a return.
-constexpr float LEAST_M = 0.5f;
+// Nearer returns are ignored: many sensors report zeros for beams without a return.
+constexpr float MIN_RANGE_M = 0.5f;
 
-// A sensor reports several returns of a beam if more than this share of the returns are of the beam of another. It shows in 16
-// sectors of azimuth, a 1,024th of the turn each, and in several of them: while a car turns, the first beams of a sweep and the
-// last ones point the same way, and have one return each. A sweep of few returns is looked at as a whole; of a sector with more
-// the first ones are.
-constexpr double LEAST_SHARE = 0.01;
-constexpr int SECTORS_OF_TURN = 1024, LOOKED_AT = 16, LEAST_SECTORS = 4;
+// A sensor is multi-return if more than this share of the returns share a beam with another. It is tested in 16 sectors
+// of azimuth, each 1/1024 of a turn, and must hold in MIN_SECTORS of them: while a car turns, the first and the last
+// beams of a sweep point the same way with one return each. A sweep of up to FEW returns is tested as a whole; of a
+// larger sector only the first FEW returns.
+constexpr double MIN_SHARE = 0.01;
+constexpr int SECTORS_OF_TURN = 1024, TESTED_SECTORS = 16, MIN_SECTORS = 4;
 constexpr std::size_t FEW = 4096;
 
 struct Directions {
@@ -50,14 +50,14 @@ MULTIVERSION void find_directions(const float* __restrict xyz, std::size_t n, fl
     }
 }
 
-// Returns by their directions, which tell whether two of them are of one beam.
+// Returns with their directions, and the test for the same beam.
 struct AimedReturns {
     const Directions& at;
-    const std::int16_t* ring;  // null where they are not known
+    const std::int16_t* ring;  // null if unknown
     Tolerance tolerance;
 
-    bool counts(std::size_t k) const { return at.range_m[k] >= LEAST_M; }
-    bool of_one_beam(std::size_t a, std::size_t b) const {
+    bool counts(std::size_t k) const { return at.range_m[k] >= MIN_RANGE_M; }
+    bool share_beam(std::size_t a, std::size_t b) const {
         const float nearer_m = std::min(at.range_m[a], at.range_m[b]);
         const float most = std::min(tolerance.angle + tolerance.grain_m / nearer_m, LARGEST_ANGLE);
         const float apart = std::fabs(at.azimuth[a] - at.azimuth[b]);
@@ -67,14 +67,14 @@ struct AimedReturns {
     }
 };
 
-// How many of some returns are of the beam of another.
+// Count the returns that share a beam with another one.
 std::size_t count_shared(const AimedReturns& returns, std::vector<std::uint32_t>& some) {
     const Buffer<float>& azimuth = returns.at.azimuth;
     std::sort(some.begin(), some.end(), [&](std::uint32_t a, std::uint32_t b) { return azimuth[a] < azimuth[b]; });
     std::size_t shared = 0;
     for (std::size_t i = 0; i < some.size(); ++i) {
         for (std::size_t j = i + 1; j < some.size() && azimuth[some[j]] - azimuth[some[i]] <= LARGEST_ANGLE; ++j) {
-            if (!returns.of_one_beam(some[i], some[j])) continue;
+            if (!returns.share_beam(some[i], some[j])) continue;
             ++shared;
             break;
         }
@@ -82,30 +82,30 @@ std::size_t count_shared(const AimedReturns& returns, std::vector<std::uint32_t>
     return shared;
 }
 
-// Whether the sensor reports several returns of a beam.
+// Check if the sensor reports several returns of a beam.
 bool has_several(const AimedReturns& returns) {
     const Buffer<float>& azimuth = returns.at.azimuth;
     const std::size_t count = azimuth.size();
     const bool is_small = count <= FEW;
-    constexpr int EVERY = SECTORS_OF_TURN / LOOKED_AT;
-    std::array<std::vector<std::uint32_t>, LOOKED_AT> some;
+    constexpr int EVERY = SECTORS_OF_TURN / TESTED_SECTORS;
+    std::array<std::vector<std::uint32_t>, TESTED_SECTORS> some;
     for (std::size_t k = 0; k < count; ++k) {
         if (!returns.counts(k)) continue;
         const int sector = is_small ? EVERY / 2 : int((azimuth[k] + PI) * (float(SECTORS_OF_TURN) / (2.0f * PI)));
         if (sector % EVERY != EVERY / 2 || some[std::size_t(sector / EVERY)].size() == FEW) continue;
         some[std::size_t(sector / EVERY)].push_back(std::uint32_t(k));
     }
-    std::size_t shared = 0, every = 0;
+    std::size_t shared = 0, total = 0;
     int sectors = 0;
     for (auto& of_sector : some) {
         const std::size_t here = count_shared(returns, of_sector);
-        shared += here, every += of_sector.size(), sectors += here > 0;
+        shared += here, total += of_sector.size(), sectors += here > 0;
     }
-    return double(shared) > LEAST_SHARE * double(every) && sectors >= (is_small ? 1 : LEAST_SECTORS);
+    return double(shared) > MIN_SHARE * double(total) && sectors >= (is_small ? 1 : MIN_SECTORS);
 }
 
-// Returns by direction, in a table by a hash of their cell. Cells are twice as wide as two directions of one beam may differ, so
-// that those of a beam lie in one cell or in the one on the nearer side of it.
+// Hash table of returns by direction cell. Cells are twice as wide as the tolerance, so that returns of a beam lie in
+// one cell or in the neighbor on the nearer side.
 class ByDirection {
 public:
     ByDirection(const AimedReturns& returns, const std::vector<char>& kept)
@@ -117,7 +117,7 @@ public:
         first = k;
     }
 
-    // Call body for each return that was added, is kept and is of the same beam; those that are not kept any more leave.
+    // Call body for each added return of the same beam that is still kept; unlink those that are not.
     template <typename Body>
     void for_same_beam(std::uint32_t k, const Body& body) {
         const float column = column_of(k), row = row_of(k);
@@ -132,7 +132,7 @@ public:
                         *at = next_[*at];
                         continue;
                     }
-                    if (returns_.of_one_beam(k, *at)) body(*at);
+                    if (returns_.share_beam(k, *at)) body(*at);
                     at = &next_[*at];
                 }
             }
@@ -148,7 +148,7 @@ private:
     float row_of(std::uint32_t k) const {
         return returns_.ring ? float(returns_.ring[k]) : (returns_.at.elevation[k] + PI) / CELL;
     }
-    // The cell of a place, around a turn of `turn` cells unless that is 0.
+    // Return the cell of a position, modulo `turn` cells unless that is 0.
     static std::int32_t cell(float place, std::int32_t turn) {
         const auto at = std::int32_t(std::floor(place));
         return turn == 0 ? at : (at + turn) % turn;
@@ -168,13 +168,13 @@ private:
 
 std::optional<Buffer<std::int32_t>> farthest_returns(View2<const float> points, std::optional<View1<const std::int16_t>> ring) {
     const std::size_t count = points.rows;
-    // 1. Do beams have several returns?
+    // 1. Test if beams have several returns.
     Directions at(count);
     find_directions(points.data, count, at.azimuth.data(), at.elevation.data(), at.range_m.data());
     AimedReturns returns{at, ring ? ring->data : nullptr, EXACT};
     if (!has_several(returns)) return std::nullopt;
-    // 2. Of each beam the farthest, in the order of the rows.
-    returns.tolerance = USUAL;
+    // 2. Keep the farthest return of each beam, in the order of the rows.
+    returns.tolerance = TOLERANCE;
     std::vector<char> kept(count, 1);
     ByDirection seen(returns, kept);
     for (std::uint32_t k = 0; k < count; ++k) {

@@ -1,4 +1,4 @@
-// One return of each beam, of a sensor that reports several: the farthest, for the light went on past leaves, wires and rain.
+// Keep one return of each beam of a multi-return sensor: the farthest, since light passes leaves, wires and rain.
 #pragma once
 
 #include <optional>
@@ -7,9 +7,8 @@
 
 namespace viewshed {
 
-// The rows, ascending, of the farthest return of each beam among points (N, 3); none where each beam has one return. Returns of a
-// beam lie in one direction from the sensor and, where rings (N,) are known, on one ring; the first of those that are as far
-// counts.
+// Return the ascending rows of the farthest return of each beam among points (N, 3); none if each beam has one return.
+// Returns of a beam have the same direction and, if rings (N,) are known, the same ring. The first of a tie is kept.
 std::optional<Buffer<std::int32_t>> farthest_returns(View2<const float> points, std::optional<View1<const std::int16_t>> ring);
 
 }  // namespace viewshed

@@ -11,10 +11,10 @@
 namespace viewshed {
 namespace {
 
-// A point farther than this, or an intensity above the second, is no point of a LiDAR in meters.
+// Largest plausible range in meters, and intensity.
 constexpr float FARTHEST_M = 1e4f, BRIGHTEST = 1e6f;
 
-// The highest ring of a nuScenes file that is believed.
+// Largest plausible ring of a nuScenes file.
 constexpr float HIGHEST_RING = 127.0f;
 
 // Nearer returns are null returns or the sensor's own housing.
@@ -33,8 +33,7 @@ MULTIVERSION void split_four(const float* rows, std::size_t count, float* points
 
 namespace {
 
-// Split rows of x, y, z, intensity, ring, and return how many rings are no 16-bit whole numbers; those become 0. With
-// quarter_turn points are (y, -x, z): nuScenes' x right, y forward becomes x forward, y left.
+// As split_five; quarter_turn maps nuScenes' x right, y forward to x forward, y left.
 template <bool quarter_turn>
 INLINE std::int32_t split_five_as(const float* rows, std::size_t count, float* points, float* intensity,
                                   std::int16_t* ring) {
@@ -114,7 +113,7 @@ std::int64_t unpack_lzf(View1<const std::uint8_t> packed, View1<std::uint8_t> un
         if (at >= packed.size) return -1;
         const std::size_t distance = ((control & 31) << 8) + packed[at++] + 1;
         if (distance > end || end + length > unpacked.size) return -1;
-        // One by one: what is copied may be what was just written.
+        // Byte by byte, since source and target may overlap.
         for (std::size_t k = 0; k < length; ++k) unpacked[end + k] = unpacked[end - distance + k];
         end += length;
     }
@@ -122,12 +121,12 @@ std::int64_t unpack_lzf(View1<const std::uint8_t> packed, View1<std::uint8_t> un
 }
 
 RingSpread spread_of_rings(View2<const float> points, View1<const std::int16_t> ring, float half_width) {
-    // Degree of azimuth, elevation and ring of each return there, in one number that sorts by them.
+    // Pack degree of azimuth, elevation and ring of each return into one sortable number.
     std::vector<std::uint64_t> returns;
     double sum = 0.0, squares = 0.0;
     for (std::size_t n = 0; n < points.rows; ++n) {
         const float x = std::fabs(points(n, 0)), y = std::fabs(points(n, 1)), z = points(n, 2);
-        // Null returns lie at the origin or beside it, thousands of them in one place.
+        // Skip null returns, which lie at or near the origin in thousands.
         if (!(std::min(x, y) < half_width * std::max(x, y)) || std::max(x, y) < NULL_RANGE_M) continue;
         if (!std::isfinite(x + y + z)) continue;
         const double elevation = azimuth_of(z, std::sqrt(x * x + y * y));
@@ -149,7 +148,7 @@ RingSpread spread_of_rings(View2<const float> points, View1<const std::int16_t> 
         if (k > 0) spread.beside += double(std::abs(here - std::int64_t(returns[k - 1] & 0xffff)));
     }
     spread.beside /= count - 1.0;
-    // The mean distance in rings of any two returns: each step from a ring to the next lies between those below and those above it.
+    // Mean ring distance of any two returns: each step between rings separates the returns below from those above.
     double below = 0.0;
     for (const std::int64_t size : sizes) {
         below += double(size);

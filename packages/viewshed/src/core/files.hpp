@@ -1,4 +1,4 @@
-// Columns of files: rows of float32, points moved between frames, and the packing of PCD.
+// File columns: rows of float32, points moved between frames, and PCD compression.
 #pragma once
 
 #include "arrays.hpp"
@@ -8,29 +8,29 @@ namespace viewshed {
 // Split rows of x, y, z, intensity into points (3 N,) and intensity (N,).
 void split_four(const float* rows, std::size_t count, float* points, float* intensity);
 
-// Split rows of x, y, z, intensity, ring, and return how many rings are no 16-bit whole numbers; those become 0. With
-// quarter_turn points are (y, -x, z).
+// Split rows of x, y, z, intensity, ring; return how many rings are not 16-bit integers (they become 0). With
+// quarter_turn, points are (y, -x, z).
 std::int32_t split_five(const float* rows, std::size_t count, bool quarter_turn, float* points, float* intensity,
                         std::int16_t* ring);
 
-// Whether all values are numbers: the exponent of what is none has all its bits set.
+// Check that all values are finite.
 bool are_finite(const float* values, std::size_t count);
 
-// Whether rows of 4 or 5 columns read as meters, an intensity and a ring. Rows that are not finite say nothing.
+// Check if rows of 4 or 5 columns are plausible as meters, an intensity and a ring. Non-finite rows are ignored.
 bool is_plausible(const float* rows, std::size_t count, std::size_t columns);
 
-// Decode an LZF stream; return the bytes written, or -1 where the stream is damaged. No index leaves either array.
+// Decode an LZF stream; return the bytes written, or -1 if it is corrupt. Never reads or writes out of bounds.
 std::int64_t unpack_lzf(View1<const std::uint8_t> packed, View1<std::uint8_t> unpacked);
 
-// How the rings of returns beside each other differ, seen from the origin, in whatever frame and order.
+// Ring differences between neighboring returns, seen from the origin, independent of frame and order.
 struct RingSpread {
-    std::size_t count;         // returns that were looked at
-    double elevation_std;      // their elevations' standard deviation in radians
-    double beside, any_two;    // mean difference of rings: of returns beside each other, and of any two
+    std::size_t count;         // returns in the sectors
+    double elevation_std;      // standard deviation of their elevations in radians
+    double beside, any_two;    // mean ring difference: of neighbors, and of any two returns
 };
 
-// Four narrow sectors, ahead, behind and aside, with all of their returns: those above each other in a degree of azimuth
-// are neighbors. half_width is the tangent of half of a sector.
+// Compute the spread in four narrow sectors (ahead, behind, left, right); neighbors are adjacent in elevation within a
+// degree of azimuth. half_width is the tangent of half a sector.
 RingSpread spread_of_rings(View2<const float> points, View1<const std::int16_t> ring, float half_width);
 
 // Replace points (N, 3) by rotation (3, 3) @ point + shift (3,), computed in float64.

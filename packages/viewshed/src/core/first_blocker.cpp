@@ -6,7 +6,7 @@
 namespace viewshed {
 namespace {
 
-// The lower median of each limit and those of the bins around it, `half` on either side, of the bins with returns.
+// Replace each limit by the lower median over bins with returns, `half` to either side.
 void smooth(View1<const float> farthest_m, std::size_t half, View1<float> blocker_m) {
     const std::size_t bins = blocker_m.size;
     const std::vector<float> before(blocker_m.begin(), blocker_m.end());
@@ -27,12 +27,12 @@ void smooth(View1<const float> farthest_m, std::size_t half, View1<float> blocke
 }  // namespace
 
 Buffer<float> first_blocker(const LeveledReturns& returns, std::size_t bins, const BlockerRules& rules) {
-    // 1. The obstacle of each bin that blocks.
+    // 1. Find the blocking obstacle of each bin.
     BinRanges ranges = find_ranges(returns, bins);
     Buffer<float> &farthest_m = ranges.farthest_m, &limit_m = ranges.nearest_m;
     if (rules.rank > 1) find_nearest_obstacle(returns, rules.rank, limit_m);
     if (rules.median_bins > 0) smooth(farthest_m, rules.median_bins / 2, limit_m);
-    // 2. Visible up to it, and no farther than the farthest return, or than the sensor reaches.
+    // 2. Limit the visible range by it, and by the farthest return or the sensor's reach.
     for (std::size_t b = 0; b < limit_m.size(); ++b) {
         const float free_m = std::min(limit_m[b], rules.reach_m.value_or(farthest_m[b]));
         limit_m[b] = farthest_m[b] >= 0.0f ? free_m + rules.margin_m : -1.0f;

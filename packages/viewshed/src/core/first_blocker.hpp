@@ -1,4 +1,4 @@
-// The first blocker: up to which range each azimuth is free of obstacles.
+// First blocker: the range up to which each azimuth is free of obstacles.
 #pragma once
 
 #include <optional>
@@ -7,15 +7,15 @@
 
 namespace viewshed {
 
-// What blocks; viewshed.estimators.first_blocker.FirstBlocker says what each is.
+// Parameters, as documented in viewshed.estimators.first_blocker.FirstBlocker.
 struct BlockerRules {
     std::size_t rank, median_bins;
-    std::optional<float> reach_m;  // how far a bin without an obstacle is visible; without it, to its farthest return
-    float margin_m;                // a cell's center may lie so far beyond
+    std::optional<float> reach_m;  // visible range of a bin without an obstacle; by default its farthest return
+    float margin_m;                // tolerance for a cell's center beyond the limit
 };
 
-// The range (bins,) up to which a cell's center is visible, -1 in a bin without a return. Of 0 bins it is as many
-// as the returns fill.
+// Return the range (bins,) up to which a cell's center is visible, -1 for a bin without a return. `bins` = 0 takes as
+// many bins as the returns fill.
 Buffer<float> first_blocker(const LeveledReturns& returns, std::size_t bins, const BlockerRules& rules);
 
 }  // namespace viewshed

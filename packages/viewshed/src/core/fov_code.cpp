@@ -10,21 +10,21 @@
 namespace viewshed {
 namespace {
 
-// Cells of a row that one decision may say are like all around them.
+// Cells of a row that one decision may declare equal to their surroundings.
 constexpr std::size_t GROUP = 8;
 
-// A code has at most DECISIONS_PER_CELL a cell, and MORE_DECISIONS in all: what decoding one may take.
+// Upper bound of the decisions in a code, per cell and in addition, to bound the decoding.
 constexpr std::size_t DECISIONS_PER_CELL = 4, MORE_DECISIONS = 4096;
 
-// A code ends with this, in 16 bits: what was read out of step does not.
-constexpr std::uint32_t END = 0x5a3c;
+// 16-bit end marker of a code: a desynchronized decoder does not find it.
+constexpr std::uint32_t END_MARKER = 0x5a3c;
 constexpr int END_BITS = 16;
 
-// FREE and SURFACE are 1 and 2. The depth of a level is counted from the one that is expected most: the highest where a
-// state is visible, the lowest elsewhere.
+// Depth of a level: distance from the expected level, the highest for visible states (FREE 1, SURFACE 2), else the
+// lowest.
 constexpr int depth_of(int state, int level) { return state == 1 || state == 2 ? LEVELS - 1 - level : level; }
 
-// A cell as one number: its state and its level.
+// A symbol combines the state and the level of a cell.
 constexpr int symbol_of(int state, int level) { return state * LEVELS + level; }
 constexpr int state_of(int symbol) { return symbol >> 4; }
 constexpr int level_of(int symbol) { return symbol & 15; }
@@ -39,11 +39,11 @@ MULTIVERSION void look_up(const std::uint8_t* levels, std::size_t count, const f
     for (std::size_t j = 0; j < count; ++j) found[j] = values[levels[j]];
 }
 
-// A depth in 4 classes.
+// Classes of depths.
 constexpr std::array<std::uint8_t, LEVELS> DEPTH_CLASS{0, 1, 1, 2, 2, 2, 2, 3, 3, 3, 3, 3, 3, 3, 3, 3};
 constexpr int DEPTH_CLASSES = 4;
 
-// The weighted sum of the depths of four neighbors, 0…90, in 10 classes.
+// Classes of the weighted sum of four neighbors' depths, 0…90.
 constexpr int SUM_CLASSES = 10;
 constexpr std::array<std::uint8_t, 91> SUM_CLASS = [] {
     constexpr int starts[SUM_CLASSES - 1] = {1, 3, 6, 12, 18, 26, 36, 50, 70};
@@ -54,24 +54,24 @@ constexpr std::array<std::uint8_t, 91> SUM_CLASS = [] {
     return table;
 }();
 
-// What models expect before they have seen anything, in percent, as real views had it: a cell like the predicted one, by
-// how many of the four neighbors are; another state, by how many of them have the predicted one; a depth above 0, by the
-// class of the neighbors' sum.
+// Initial probabilities in percent, from real views: a cell equals the predicted one, by the number of neighbors that
+// do; its state differs, by the number of neighbors with the predicted state; its depth is above 0, by the class of the
+// neighbors' sum.
 constexpr std::array<int, 5> LIKE_PREDICTED{40, 40, 55, 83, 96}, OTHER_STATE{80, 80, 74, 57, 10};
 constexpr std::array<int, SUM_CLASSES> DEEPER{3, 14, 18, 71, 82, 93, 95, 93, 93, 83};
 constexpr BitModel expecting(int percent) { return {std::uint16_t(percent * 65536 / 100), 2}; }
 
-// The depth of the predicted cell as a context: up to 8, or none where the state is another.
+// Contexts of the predicted cell's depth: up to 8, or none if the state differs.
 constexpr int PREDICTED_DEPTHS = 10;
 
-// A plane of bytes with a column more on either side, which repeats the outermost, and room for a group beyond.
+// A plane of bytes with an extra column on either side that repeats the outermost one, and space for a group beyond.
 class Plane {
 public:
     explicit Plane(std::size_t cells)
         : cells_(cells), data_(cells * (cells + 2) + 2 * GROUP), nothing_(cells + 2 + 2 * GROUP, 0) {}
 
     std::uint8_t* row(std::size_t i) { return data_.data() + i * (cells_ + 2) + 1; }
-    // What lies before the first row: UNKNOWN.
+    // The row before the first one: all UNKNOWN.
     const std::uint8_t* nothing() const { return nothing_.data() + 1; }
     void close(std::size_t i) {
         row(i)[-1] = row(i)[0];
@@ -83,12 +83,12 @@ private:
     Buffer<std::uint8_t> data_, nothing_;
 };
 
-// Which neighbor of a cell lies toward the sensor: in the same row, in the row before, or between them.
+// Neighbor of a cell toward the sensor: in the same row, in the row before, or diagonal.
 enum Toward { BESIDE, BELOW, DIAGONAL };
 constexpr int TOWARDS = 3;
 
-// A cell that is to be coded, column j of a row; `below` is the row coded before it, and cells of the row are coded in
-// direction `step`. Where the cell is the first of its row, none beside it is coded.
+// A cell to be coded, column j of a row. `below` is the row coded before it, and the row is coded in direction `step`.
+// The first cell of a row has no coded neighbor beside it.
 struct Place {
     std::uint8_t* row;
     const std::uint8_t* below;
@@ -100,7 +100,7 @@ struct Place {
     int predicted() const { return toward == BESIDE ? beside() : toward == BELOW ? below[j] : below[j - step]; }
 };
 
-// Whether the cells about a group, as far as they are coded, are all the same. They are below[j - 1…j + 8] outward.
+// Check if the coded cells around a group are all equal. They are below[j - 1…j + 8] outward.
 INLINE bool is_even_about(const Place& at) {
     std::uint64_t left, right;
     const std::uint8_t* low = at.below + (at.step > 0 ? at.j - 1 : at.j - std::ptrdiff_t(GROUP));
@@ -110,10 +110,10 @@ INLINE bool is_even_about(const Place& at) {
     return left == same && right == same && at.beside() == at.below[at.j];
 }
 
-// The cells of a group, from low to high columns.
+// Return the cells of a group, from low to high columns.
 INLINE std::uint8_t* group_of(const Place& at) { return at.row + (at.step > 0 ? at.j : at.j - std::ptrdiff_t(GROUP) + 1); }
 
-// Codes planes of cells; for a decoder they are written, for an encoder read.
+// Codes planes of cells: a decoder writes them, an encoder reads them.
 template <typename Coder>
 class ViewCoder {
 public:
@@ -132,13 +132,13 @@ public:
         }
     }
 
-    // Symbols of all cells. False where the code is none.
+    // Code the symbols of all cells; false if the code is invalid.
     bool code_symbols(Plane& symbols) {
         return walk(symbols, [this](const Place& at, std::size_t) { return code_symbol(at); },
                     [this](const Place& at, std::size_t) { return &group_models_[at.below[at.j]]; });
     }
 
-    // Deviations of all cells, whose symbols are known.
+    // Code the deviations of all cells, after their symbols.
     bool code_deviations(Plane& deviations, Plane& symbols) {
         return walk(deviations, [&](const Place& at, std::size_t i) { return code_deviation(at, symbols.row(i)[at.j]); },
                     [&](const Place& at, std::size_t i) {
@@ -149,7 +149,7 @@ public:
     }
 
 private:
-    // Code rows from the sensor outward, forward first, and each from the sensor to either side.
+    // Code rows outward from the sensor, first forward, then backward, and each row from the sensor to either side.
     template <typename Cell, typename GroupModel>
     INLINE bool walk(Plane& plane, const Cell& code_cell, const GroupModel& group_model) {
         const auto code_row = [&](std::size_t i, const std::uint8_t* below, std::size_t a) {
@@ -183,7 +183,7 @@ private:
         return true;
     }
 
-    // Whether a group is as all around it.
+    // Code whether a group equals its surroundings.
     INLINE bool code_group(const Place& at, BitModel& model) {
         const std::uint8_t value = at.below[at.j];
         std::uint8_t* const cells = group_of(at);
@@ -208,7 +208,7 @@ private:
             depth = depth_of(state, level_of(symbol));
         }
 
-        // 1. Most cells are what the one toward the sensor is.
+        // 1. Equality with the predicted cell, which is most frequent.
         const int agreeing = (beside == predicted) | (below == predicted) << 1 | (other == predicted) << 2 |
                              (diagonal == predicted) << 3;
         const int copying = ((agreeing * STATES + state_p) * DEPTH_CLASSES + DEPTH_CLASS[depth_p]) * TOWARDS + at.toward;
@@ -217,7 +217,7 @@ private:
             return true;
         }
 
-        // 2. The state, as the predicted one with bits turned over.
+        // 2. The state, as bit flips of the predicted one.
         const int states = (((at.toward * STATES + state_of(beside)) * STATES + state_of(below)) * STATES +
                             state_of(diagonal)) * STATES + state_of(other);
         BitModel* const turned = &state_models_[states * 4];
@@ -231,13 +231,12 @@ private:
         }
         state = state_p ^ turn;
 
-        // 3. The depth of the level, by the depths of the neighbors: whether it is 0, then less 1 in three bits, of which 7
-        // says that three more follow.
+        // 3. The depth of the level, by the neighbors' depths: 0, or depth - 1 in three bits, where 7 adds three more.
         const auto depth_here = [&](int neighbor) { return depth_of(state, level_of(neighbor)); };
         const int sum = 2 * depth_here(beside) + 2 * depth_here(below) + depth_here(diagonal) + depth_here(other);
         const int known = turn == 0 ? 1 + std::min(depth_p, PREDICTED_DEPTHS - 2) : 0;
         BitModel* const model = &depth_models_[((state * SUM_CLASSES + SUM_CLASS[sum]) * PREDICTED_DEPTHS + known) * 16];
-        // In the predicted state it cannot be the predicted level again.
+        // In the predicted state the predicted level is excluded.
         const bool surely_deeper = turn == 0 && depth_p == 0;
         if (surely_deeper || coder_.bit(model[0], depth != 0)) {
             int found = code_three(model, std::min(depth - 1, 7));
@@ -253,14 +252,14 @@ private:
         return true;
     }
 
-    // A number of three bits by a tree of seven models, model[1] its root.
+    // Code a three-bit number by a tree of seven models with root model[1].
     INLINE int code_three(BitModel* model, int value) {
         int node = 1;
         for (int k = 2; k >= 0; --k) node = 2 * node + coder_.bit(model[node], (value >> k) & 1);
         return node - 8;
     }
 
-    // A deviation in steps from 0 up, by those of the neighbors and the depth of the cell's own level.
+    // Code a deviation in unary, by those of the neighbors and the depth of the cell's level.
     INLINE bool code_deviation(const Place& at, int symbol) {
         const int sum = 2 * at.beside() + 2 * at.below[at.j] + at.below[at.j - at.step] + at.below[at.j + at.step];
         const int depth = depth_of(state_of(symbol), level_of(symbol));
@@ -300,7 +299,7 @@ std::vector<std::uint8_t> encode_view(const CodedCells& cells, SensorCell sensor
     ViewCoder<RangeEncoder> coder(encoder, count, sensor);
     if (!coder.code_symbols(symbols)) return {};
     if (cells.deviation.rows > 0 && !coder.code_deviations(deviations, symbols)) return {};
-    encoder.plain(END, END_BITS);
+    encoder.plain(END_MARKER, END_BITS);
     return encoder.finish();
 }
 
@@ -311,7 +310,7 @@ bool decode_view(View1<const std::uint8_t> code, SensorCell sensor, const LevelV
     ViewCoder<RangeDecoder> coder(decoder, count, sensor);
     if (!coder.code_symbols(symbols)) return false;
     if (view.std.rows > 0 && !coder.code_deviations(deviations, symbols)) return false;
-    if (decoder.plain(0, END_BITS) != END || !decoder.ended()) return false;
+    if (decoder.plain(0, END_BITS) != END_MARKER || !decoder.ended()) return false;
     for (std::size_t i = 0; i < count; ++i) split_symbols(symbols.row(i), count, values.prob, view.state[i], view.prob[i]);
     for (std::size_t i = 0; i < view.std.rows; ++i) look_up(deviations.row(i), count, values.std, view.std[i]);
     return true;

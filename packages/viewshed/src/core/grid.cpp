@@ -8,7 +8,7 @@
 namespace viewshed {
 namespace {
 
-// The flat cell of each point of a block, -1 where it does not count: without branches, so that it vectorizes.
+// Write the flat cell index of each point of a block, -1 if it does not count; branch-free, so that it vectorizes.
 MULTIVERSION void find_cells(const float* points, std::size_t count, const float* rotation, const float* translation,
                              const Counted& counted, std::int32_t* cells) {
     const float xx = rotation[0], xy = rotation[1], xz = rotation[2], x0 = translation[0];

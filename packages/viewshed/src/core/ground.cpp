@@ -1,4 +1,3 @@
-// Local ground and its uncertainty.
 #include "ground.hpp"
 
 #include <algorithm>
@@ -15,73 +14,71 @@
 namespace viewshed {
 namespace {
 
-// Sensor height where neither the sweep nor its returns give one; the most that the lowest share of its nodes may give,
-// which are at least FEWEST_NODES.
-constexpr double ASSUMED_HEIGHT_M = 1.8, MOST_HEIGHT_M = 10.0, LOWEST_SHARE = 0.95;
+// Sensor height if neither the sweep nor its returns give one. Otherwise it is a quantile of the nodes' depths, of at
+// least FEWEST_NODES nodes and at most MOST_HEIGHT_M.
+constexpr double ASSUMED_HEIGHT_M = 1.8, MAX_HEIGHT_M = 10.0, LOWEST_SHARE = 0.95;
 constexpr std::size_t FEWEST_NODES = 6;
 
-// A plane with a smaller share of the near nodes on it is no ground; then the lowest returns are taken as level.
+// A plane with less support is no ground; then level ground is assumed at the lowest returns.
 constexpr double MIN_SUPPORT = 0.22;
 
-// A node whose returns all lie within this height may be a patch of ground; a higher one is a car or a wall.
+// A node whose returns span less than this height may be ground; otherwise it is a car or a wall.
 constexpr double FLAT_M = 0.2;
 
-// Nodes whose low points lie this near to one plane are a patch; steeper planes get more by the slope's share.
+// Nodes form an even patch if their low points lie this near to a plane; steep planes get more tolerance.
 constexpr double EVEN_M = 0.12;
 constexpr int EVEN_NODES = 7;
 
-// Slope of the steepest patch (50°): the side of a cutting. Steepest patch (17°) that needs no ground at its foot.
+// Steepest slope of a patch (50°, the side of a cutting), and of one that needs no ground at its foot (17°).
 constexpr double STEEPEST = 1.2, EVEN_SLOPE = 0.3;
 
-// Such a patch may lie this far from what the nodes nearer to the sensor predict: the roof of a car, a ceiling or a deck lies
-// farther above it.
+// Largest distance of such a patch from the prediction of the nodes nearer to the sensor; roofs and decks lie higher.
 constexpr double EVEN_STEP_M = 0.5;
 
-// A patch that climbs from accepted ground is a slope if it is this large, and not the front of a car, and meets that ground
-// to within this.
+// A steep patch is a slope, not the front of a car, if it has this area and meets accepted ground within this distance.
 constexpr double FACE_M2 = 20.0, FOOT_M = 0.25, FOOT_SLOPE = 0.1;
 
-// Returns below the ground are believed if two neighbors agree with them to within this, or, of a wall that is seen over an
-// edge, if they are this much lower: the ground lies no higher than its foot.
+// Returns below the ground are accepted if two neighbors agree within this distance, or, on a wall seen over an edge,
+// if they are this much lower: the ground lies no higher than the foot of the wall.
 constexpr float AGREE_M = 0.3f;
 constexpr double LOWER_M = 0.3;
 
-// Steps that are followed, what flat nodes add per meter of their side up to FLAT_NODE_M, and what is added in doubt.
+// Largest step to follow, plus allowances of flat nodes per meter of side (up to FLAT_NODE_M), and of doubtful ones.
 constexpr double STEP_M = 0.10, FLAT_STEP = 0.05, FLAT_NODE_M = 2.5, DOUBT_STEP_M = 0.10;
 
-// They are taken by this share in height and in slope.
+// Shares of a step that are followed in height and in slope.
 constexpr double FOLLOWED = 0.7, FOLLOWED_SLOPE = 0.25;
 
-// Where no ground is met these shares of slope and weight are carried on, and slopes up to CARRIED_SLOPE off the slope
-// of the carrier's plane.
-constexpr float CARRIED_SHARE = 0.9f, CARRIED_SLOPE = 0.15f, CARRIED_WEIGHT = 0.8f, LEAST_WEIGHT = 0.05f;
+// Without ground, these shares of slope and weight are carried on, with at most CARRIED_SLOPE off the carrier plane's
+// slope.
+constexpr float CARRIED_SHARE = 0.9f, CARRIED_SLOPE = 0.15f, CARRIED_WEIGHT = 0.8f, MIN_WEIGHT = 0.05f;
 
-// Weight in the walk of a level that no other direction confirms.
-constexpr float ALONE_WEIGHT = 0.01f;
+// Weight of a level that no other direction confirms.
+constexpr float UNCONFIRMED_WEIGHT = 0.01f;
 
-// A beam that passes this far below accepted ground had ended there: what it says of ground farther away is wrong.
+// A beam that passes this far below accepted ground is inconsistent: it would have ended there.
 constexpr float BURIED_M = 0.3f;
 
-// Returns are attached to ground at most BESIDE_NODES away, if BESIDE_COUNT nodes of it are about as high.
+// Returns are attached to ground within BESIDE_NODES nodes if BESIDE_COUNT nodes of it are about as high.
 constexpr std::ptrdiff_t BESIDE_NODES = 2;
 constexpr int BESIDE_COUNT = 2;
 constexpr float BESIDE_M = 0.12f, BESIDE_SLOPE = 0.03f;
 
-// Nodes with returns of a part that is worth a thread.
+// Fewest nodes for which a part pays for its thread.
 constexpr std::size_t PART = 1024;
 
 INLINE bool has(const Lows& lows, std::size_t at) {
     return lows.z_m[at] < std::numeric_limits<float>::infinity();
 }
 
-// Planes that are fitted at once, in the lanes of vectors.
+// Planes that are fitted at once in vectors.
 constexpr std::size_t LANES = 8;
 
-// The low points of nine nodes for each lane; those that are missing are not used (0) and lie at 0.
+// Low points of nine nodes for each lane; missing ones have used = 0 and z = 0.
 struct Neighborhoods {
     float x[9][LANES] = {}, y[9][LANES] = {}, z[9][LANES] = {}, used[9][LANES] = {}, count[LANES] = {};
 
-    // Put a node and those around it into a lane; false if too few of them have low points.
+    // Load a node and its neighbors into a lane; false if too few have low points.
     bool take(const Lows& lows, std::size_t at, std::ptrdiff_t n, std::size_t lane) {
         const auto i = std::ptrdiff_t(at) / n, j = std::ptrdiff_t(at) % n;
         if (i < 1 || j < 1 || i >= n - 1 || j >= n - 1) return false;
@@ -96,12 +93,12 @@ struct Neighborhoods {
             found += is_used;
         }
         count[lane] = float(found);
-        // Seven of nine: three rows along any slope, or else a wall and the ground before it were a plane.
+        // Seven of nine cover three rows; with two, a wall and the ground before it would form a plane.
         return found >= EVEN_NODES;
     }
 };
 
-// Slopes along x and y of the least-squares plane of each lane, and whether its points lie on it.
+// Fit a least-squares plane to each lane: write its slopes along x and y, and whether its points lie on it.
 MULTIVERSION void fit_planes(const Neighborhoods& p, bool* fits, float* slope_x, float* slope_y) {
     float mx[LANES] = {}, my[LANES] = {}, mz[LANES] = {};
     for (std::size_t k = 0; k < 9; ++k) {
@@ -152,16 +149,16 @@ MULTIVERSION void fit_planes(const Neighborhoods& p, bool* fits, float* slope_x,
     }
 }
 
-// Nodes that lie on one plane with their neighbors, the plane's slope along x and y, and how many nodes hang together.
+// Nodes that lie on a plane with their neighbors, its slopes along x and y, and the size of connected patches.
 class Patches {
 public:
     Patches(const Lows& lows, float node_m)
         : lows_(lows), n_(std::ptrdiff_t(lows.nodes)), node_m_(node_m), even_(lows.nodes * lows.nodes, false),
           slope_x_(lows.nodes * lows.nodes), slope_y_(lows.nodes * lows.nodes),
           count_(lows.nodes * lows.nodes, 0) {
-        const std::size_t some = lows.some.size();
-        for_ranges(some, count_parts(some, PART), [&](std::size_t, std::size_t begin, std::size_t end) {
-            fit(lows.some.data() + begin, end - begin);
+        const std::size_t count = lows.occupied.size();
+        for_ranges(count, count_parts(count, PART), [&](std::size_t, std::size_t begin, std::size_t end) {
+            fit(lows.occupied.data() + begin, end - begin);
         });
     }
 
@@ -169,15 +166,15 @@ public:
     float slope_x(std::size_t at) const { return slope_x_[at]; }
     float slope_y(std::size_t at) const { return slope_y_[at]; }
 
-    // Square meters of the patch of an even node: neighbors on planes that predict each other's low point. Few are asked
-    // for, so that a patch is measured when it is.
+    // Return the area in m² of the patch of an even node: connected neighbors whose planes predict each other's low
+    // points. Computed on demand, since few patches are needed.
     double area_m2(std::size_t at) {
         if (count_[at] == 0) measure(at);
         return double(count_[at]) * double(node_m_) * double(node_m_);
     }
 
 private:
-    // Fit planes to some of the nodes, LANES at a time.
+    // Fit planes to nodes, LANES at a time.
     void fit(const std::int32_t* nodes, std::size_t size) {
         Neighborhoods around;
         std::array<std::size_t, LANES> of{};
@@ -221,7 +218,7 @@ private:
         for (const std::int32_t at : members) count_[std::size_t(at)] = std::int32_t(members.size());
     }
 
-    // Whether the mean slope of two nodes leads from the low point of one to that of the other.
+    // Check that the mean slope of two nodes connects their low points.
     bool continues(std::size_t from, std::size_t to) const {
         const float dx = lows_.x_m[to] - lows_.x_m[from], dy = lows_.y_m[to] - lows_.y_m[from];
         const double rise =
@@ -234,11 +231,10 @@ private:
     float node_m_;
     Buffer<bool> even_;
     Buffer<float> slope_x_, slope_y_;
-    Buffer<std::int32_t> count_;  // 0 where it is not measured
+    Buffer<std::int32_t> count_;  // 0 if not measured yet
 };
 
-// Heights (n, n) as the walk carries them outwards from the sensor, and the nodes whose low points it accepts (n, n); of the
-// other nodes heights have no value.
+// Walk outward from the sensor: heights (n, n) of the accepted nodes (n, n); others have no value.
 class Walk {
 public:
     Walk(const Lattice& lattice, const Lows& lows, Patches& patches, const Plane& carrier)
@@ -246,9 +242,8 @@ public:
           n_(std::ptrdiff_t(lattice.nodes)), node_m_(float(lattice.node_m)), nodes_per_m_(1.0f / node_m_), carrier_x_(carrier[0]), carrier_y_(carrier[1]),
           carrier_z_(carrier[2]), carried_(std::size_t(n_ + 2) * std::size_t(n_ + 2)) {}
 
-    // Walk. Nodes that are attached (n, n) are accepted whatever the step; those that are alone (n, n) carry hardly anything
-    // on.
-    void walk(const bool* attached, const bool* alone);
+    // Run the walk. Attached nodes (n, n) are accepted whatever the step; unconfirmed ones (n, n) hardly weigh.
+    void walk(const bool* attached, const bool* unconfirmed);
 
     Buffer<float> height_m;
     Buffer<bool> accepted;
@@ -256,24 +251,23 @@ public:
 private:
     enum class Kind { refused, followed, patch, below };
 
-    // What a node carries on, each times its weight: height, rise per node along x and along y, and the weight alone; zeros
-    // before it is visited.
+    // State carried on by a node: weighted height, rise per node along x and y, and the weight; zeros until visited.
     using Carried = float __attribute__((vector_size(16)));
 
-    // Height, slopes and weight that the nodes nearer to the sensor predict for one, and from how far on average.
+    // Prediction from the nodes nearer to the sensor: height, slopes, weight, and their mean offset.
     struct Prediction {
         float z, slope_x, slope_y, weight, mean_x, mean_y;
     };
 
     INLINE Prediction predict(const Carried* here) const;
     INLINE Carried carry(const Prediction& near) const;
-    Carried visit(std::size_t at, const Prediction& near, const bool* attached, const bool* alone);
-    Kind kind_of(std::ptrdiff_t i, std::ptrdiff_t j, double step, double support, bool even, float a, float b);
+    Carried visit(std::size_t at, const Prediction& near, const bool* attached, const bool* unconfirmed);
+    Kind kind_of(std::ptrdiff_t i, std::ptrdiff_t j, double step, double support, bool is_even_node, float a, float b);
     bool agrees(std::ptrdiff_t i, std::ptrdiff_t j) const;
     bool is_buried(std::size_t at) const;
     bool meets(std::ptrdiff_t i, std::ptrdiff_t j, float a, float b) const;
 
-    // x or y of a row's middle.
+    // Return x or y of a node's center.
     double middle(std::ptrdiff_t i) const { return (double(i) + 0.5 - double(n_) / 2) * double(node_m_); }
 
     const Lattice& lattice_;
@@ -284,8 +278,8 @@ private:
     Buffer<Carried> carried_;  // (n + 2, n + 2) with a border of zeros
 };
 
-// Nodes across a corner count half. Height and slopes are linear in what is carried, so that sums over rows and columns of
-// the nine nodes give them all: the node itself holds zeros.
+// Diagonal neighbors count half. Height and slopes are linear in the carried state, so sums over rows and columns of
+// the nine nodes give them all; the node itself still holds zeros.
 Walk::Prediction Walk::predict(const Carried* here) const {
     const Carried *above = here - (n_ + 2), *below = here + (n_ + 2);
     const Carried before = 0.5f * (above[-1] + above[1]) + above[0], after = 0.5f * (below[-1] + below[1]) + below[0];
@@ -296,29 +290,29 @@ Walk::Prediction Walk::predict(const Carried* here) const {
             along[3] * per * node_m_, across[3] * per * node_m_};
 }
 
-// What is carried on where no ground is met: the slope falls back to the carrier's.
+// Return the state to carry on without ground: the slope decays to the carrier's.
 Walk::Carried Walk::carry(const Prediction& near) const {
     const float steeper_x = near.slope_x - carrier_x_, steeper_y = near.slope_y - carrier_y_;
     const float steeper2 = steeper_x * steeper_x + steeper_y * steeper_y;
     float share = CARRIED_SHARE;
     if (steeper2 > CARRIED_SLOPE * CARRIED_SLOPE) share *= CARRIED_SLOPE / std::sqrt(steeper2);
-    const float weight = std::max(std::min(CARRIED_WEIGHT / 3.0f * near.weight, CARRIED_WEIGHT), LEAST_WEIGHT);
+    const float weight = std::max(std::min(CARRIED_WEIGHT / 3.0f * near.weight, CARRIED_WEIGHT), MIN_WEIGHT);
     const Carried state{near.z, (carrier_x_ + share * steeper_x) * node_m_, (carrier_y_ + share * steeper_y) * node_m_, 1.0f};
     return weight * state;
 }
 
-void Walk::walk(const bool* attached, const bool* alone) {
+void Walk::walk(const bool* attached, const bool* unconfirmed) {
     std::fill_n(accepted.data(), accepted.size(), false);
     std::fill_n(carried_.data(), carried_.size(), Carried{});
-    // Where no more low points come, nothing need be carried.
-    std::size_t left = lows_.some.size();
+    // Stop after the last low point.
+    std::size_t left = lows_.occupied.size();
     for (std::size_t k = 0; left > 0; ++k) {
         const std::size_t at = lattice_.order[k];
         Carried* here = &carried_[lattice_.padded[k]];
         Prediction near = predict(here);
         if (k == 0) near = {carrier_z_, carrier_x_, carrier_y_, 0.0f, node_m_, 0.0f};
         if (has(lows_, at)) {
-            *here = visit(at, near, attached, alone);
+            *here = visit(at, near, attached, unconfirmed);
             --left;
         } else {
             *here = carry(near);
@@ -326,19 +320,21 @@ void Walk::walk(const bool* attached, const bool* alone) {
     }
 }
 
-// Accept the low point of a node, or not, and return what the node carries on.
-Walk::Carried Walk::visit(std::size_t at, const Prediction& near, const bool* attached, const bool* alone) {
+// Accept or refuse the low point of a node, and return the state to carry on.
+Walk::Carried Walk::visit(std::size_t at, const Prediction& near, const bool* attached, const bool* unconfirmed) {
     const auto i = std::ptrdiff_t(at) / n_, j = std::ptrdiff_t(at) % n_;
-    // 1. How far the low point lies above the prediction, and what it is.
+    // 1. Compute the step above the prediction, and classify the low point.
     const double dx = double(lows_.x_m[at]) - middle(i), dy = double(lows_.y_m[at]) - middle(j);
     const double low = double(lows_.z_m[at]), z = double(near.z);
     const double step = low - z - double(near.slope_x) * dx - double(near.slope_y) * dy;
-    const bool even = patches_.is_even(at);
+    const bool is_even_node = patches_.is_even(at);
     const float a = patches_.slope_x(at), b = patches_.slope_y(at);
-    Kind kind = even ? Kind::patch : Kind::below;
-    if (attached == nullptr || !attached[at]) kind = kind_of(i, j, step, std::min(double(near.weight) / 3.0, 1.0), even, a, b);
+    Kind kind = is_even_node ? Kind::patch : Kind::below;
+    if (attached == nullptr || !attached[at]) {
+        kind = kind_of(i, j, step, std::min(double(near.weight) / 3.0, 1.0), is_even_node, a, b);
+    }
     if (kind == Kind::refused) return carry(near);
-    // 2. Patches are taken as they are, with their slope if they break with the prediction; small steps in part.
+    // 2. Take patches as they are, with their slope if it breaks with the prediction; follow small steps in part.
     double height, slope_x, slope_y;
     if (kind == Kind::followed) {
         const double mx = double(near.mean_x), my = double(near.mean_y), side = double(node_m_);
@@ -346,7 +342,7 @@ Walk::Carried Walk::visit(std::size_t at, const Prediction& near, const bool* at
         height = z + FOLLOWED * step;
         slope_x = double(near.slope_x) + FOLLOWED_SLOPE * step * mx / length2;
         slope_y = double(near.slope_y) + FOLLOWED_SLOPE * step * my / length2;
-    } else if (even) {
+    } else if (is_even_node) {
         const bool breaks = kind == Kind::below || std::fabs(step) >= EVEN_STEP_M;
         height = low - double(a) * dx - double(b) * dy;
         slope_x = double(breaks ? a : 0.5f * (near.slope_x + a));
@@ -359,29 +355,29 @@ Walk::Carried Walk::visit(std::size_t at, const Prediction& near, const bool* at
     height_m[at] = float(height);
     accepted[at] = true;
     const Carried state{float(height), float(slope_x) * node_m_, float(slope_y) * node_m_, 1.0f};
-    return alone != nullptr && alone[at] ? ALONE_WEIGHT * state : state;
+    return unconfirmed != nullptr && unconfirmed[at] ? UNCONFIRMED_WEIGHT * state : state;
 }
 
-// What a low point is to the walk, so far above what is predicted.
-Walk::Kind Walk::kind_of(std::ptrdiff_t i, std::ptrdiff_t j, double step, double support, bool even, float a, float b) {
+// Classify a low point at a step above the prediction.
+Walk::Kind Walk::kind_of(std::ptrdiff_t i, std::ptrdiff_t j, double step, double support, bool is_even_node, float a, float b) {
     const auto at = std::size_t(i * n_ + j);
     if (!std::isfinite(step)) return Kind::refused;
     const bool flat = double(lows_.rise_m[at]) < double(float(FLAT_M));
-    const bool gentle = even && double(a * a + b * b) < EVEN_SLOPE * EVEN_SLOPE;
+    const bool gentle = is_even_node && double(a * a + b * b) < EVEN_SLOPE * EVEN_SLOPE;
     const double small = STEP_M + (flat ? FLAT_STEP * std::min(double(node_m_), FLAT_NODE_M) : 0.0) +
                          DOUBT_STEP_M * (1.0 - support);
     if (gentle && std::fabs(step) < EVEN_STEP_M) return Kind::patch;
     if (std::fabs(step) < small) return Kind::followed;
     if (step < 0.0) {
-        // Nothing but ground lies below ground.
-        const bool is_floor = even || (flat ? agrees(i, j) : step < -LOWER_M);
+        // Only ground lies below ground.
+        const bool is_floor = is_even_node || (flat ? agrees(i, j) : step < -LOWER_M);
         return is_floor && !is_buried(at) ? Kind::below : Kind::refused;
     }
-    const bool is_slope = even && patches_.area_m2(at) >= FACE_M2 && meets(i, j, a, b);
+    const bool is_slope = is_even_node && patches_.area_m2(at) >= FACE_M2 && meets(i, j, a, b);
     return is_slope ? Kind::patch : Kind::refused;
 }
 
-// Whether the low points of two of the eight nodes around (i, j) are about as high as its own.
+// Check that two of the eight neighbors of (i, j) have low points at about its height.
 bool Walk::agrees(std::ptrdiff_t i, std::ptrdiff_t j) const {
     const float own = lows_.z_m[std::size_t(i * n_ + j)];
     int count = 0;
@@ -393,9 +389,9 @@ bool Walk::agrees(std::ptrdiff_t i, std::ptrdiff_t j) const {
     return count > 2;
 }
 
-// Whether the beam to a low point would pass below accepted ground on its way.
+// Check if the beam to a low point passes below accepted ground on its way.
 bool Walk::is_buried(std::size_t at) const {
-    // Within the lattice, whatever another thread made of the points meanwhile.
+    // Clamp to the lattice, even if another thread writes the points meanwhile.
     const float center = 0.5f * float(n_), z = lows_.z_m[at];
     const float u = std::max(std::min(center, lows_.x_m[at] / node_m_), -center);
     const float v = std::max(std::min(center, lows_.y_m[at] / node_m_), -center);
@@ -409,7 +405,7 @@ bool Walk::is_buried(std::size_t at) const {
     return false;
 }
 
-// Whether the plane through a low point of slope (a, b) meets accepted ground within two nodes.
+// Check that the plane through a low point with slope (a, b) meets accepted ground within two nodes.
 bool Walk::meets(std::ptrdiff_t i, std::ptrdiff_t j, float a, float b) const {
     const auto at = std::size_t(i * n_ + j);
     const double low_x = double(lows_.x_m[at]), low_y = double(lows_.y_m[at]), low = double(lows_.z_m[at]);
@@ -425,13 +421,13 @@ bool Walk::meets(std::ptrdiff_t i, std::ptrdiff_t j, float a, float b) const {
     return false;
 }
 
-// Whether the low point of one node goes on from that of another.
-INLINE bool goes_on(const Lows& lows, std::size_t from, std::size_t to) {
+// Check that the low point of one node continues that of another.
+INLINE bool continues_from(const Lows& lows, std::size_t from, std::size_t to) {
     const float dx = lows.x_m[to] - lows.x_m[from], dy = lows.y_m[to] - lows.y_m[from];
     return std::fabs(lows.z_m[to] - lows.z_m[from]) < BESIDE_M + BESIDE_SLOPE * std::sqrt(dx * dx + dy * dy);
 }
 
-// Call body(near) for each node at most BESIDE_NODES rows and columns from one.
+// Call body(near) for each node within BESIDE_NODES rows and columns.
 template <typename Body>
 INLINE void for_beside(std::ptrdiff_t n, std::size_t at, const Body& body) {
     const auto i = std::ptrdiff_t(at) / n, j = std::ptrdiff_t(at) % n;
@@ -441,17 +437,17 @@ INLINE void for_beside(std::ptrdiff_t n, std::size_t at, const Body& body) {
     }
 }
 
-// Accept low points that go on beside two accepted ones (n, n), until nothing changes. A ring that goes on behind a hole or a
-// car lies beside the ring before them, whatever the walk carried there.
+// Accept low points that continue two accepted ones (n, n), until nothing changes. A ring that continues behind a hole
+// or a car lies beside the ring before, whatever height the walk carried there.
 void attach(const Lows& lows, View1<bool> accepted) {
     const auto n = std::ptrdiff_t(lows.nodes);
     std::vector<std::size_t> found;
     Buffer<std::uint8_t> count(accepted.size);
-    for (const std::int32_t node : lows.some) {
+    for (const std::int32_t node : lows.occupied) {
         const auto at = std::size_t(node);
         if (accepted[at]) continue;
         int beside = 0;
-        for_beside(n, at, [&](std::size_t near) { beside += accepted[near] && goes_on(lows, near, at); });
+        for_beside(n, at, [&](std::size_t near) { beside += accepted[near] && continues_from(lows, near, at); });
         count[at] = std::uint8_t(beside);
         if (beside >= BESIDE_COUNT) found.push_back(at);
     }
@@ -459,22 +455,22 @@ void attach(const Lows& lows, View1<bool> accepted) {
         const std::size_t at = found[k];
         accepted[at] = true;
         for_beside(n, at, [&](std::size_t near) {
-            if (accepted[near] || !has(lows, near) || !goes_on(lows, at, near)) return;
+            if (accepted[near] || !has(lows, near) || !continues_from(lows, at, near)) return;
             if (++count[near] == BESIDE_COUNT) found.push_back(near);
         });
     }
 }
 
-// How far below the sensor the lowest twentieth of the nodes lies; the assumed height without any.
-double lowest_m(const Lows& lows) {
-    if (lows.some.size() < FEWEST_NODES) return ASSUMED_HEIGHT_M;
+// Return the depth below the sensor of the lowest 5 % of the nodes; the assumed height without any.
+double estimated_height_m(const Lows& lows) {
+    if (lows.occupied.size() < FEWEST_NODES) return ASSUMED_HEIGHT_M;
     std::vector<double> below;
-    for (const std::int32_t at : lows.some) below.push_back(-double(lows.z_m[std::size_t(at)]));
+    for (const std::int32_t at : lows.occupied) below.push_back(-double(lows.z_m[std::size_t(at)]));
     std::sort(below.begin(), below.end());
     const double place = LOWEST_SHARE * double(below.size() - 1);
     const auto k = std::size_t(place);
     const double above = below[std::min(k + 1, below.size() - 1)];
-    return std::clamp(below[k] + (above - below[k]) * (place - double(k)), MIN_HEIGHT_M, MOST_HEIGHT_M);
+    return std::clamp(below[k] + (above - below[k]) * (place - double(k)), MIN_HEIGHT_M, MAX_HEIGHT_M);
 }
 
 }  // namespace
@@ -483,27 +479,27 @@ FoundGround estimate_ground(const Lattice& lattice, const Lows& lows, double hei
     const std::size_t n = lattice.nodes, size = lattice.size();
     FoundGround ground{Buffer<float>(size), Buffer<float>(size), Buffer<bool>(size), carrier_plane(lows, height_m),
                   std::numeric_limits<double>::quiet_NaN()};
-    // Walk, attach what goes on beside the ground, and walk again from there, past levels that one sector alone shows.
+    // Walk, attach low points that continue the ground, and walk again from there, ignoring levels of a single sector.
     Patches patches(lows, float(lattice.node_m));
     Walk walk(lattice, lows, patches, ground.carrier.plane);
-    Buffer<bool> alone(size);
+    Buffer<bool> unconfirmed(size);
     walk.walk(nullptr, nullptr);
     run_parts(2, [&](std::size_t part) {
         if (part == 0) {
-            find_unconfirmed_levels(lattice, walk.height_m, walk.accepted, ground.carrier.plane, alone);
+            find_unconfirmed_levels(lattice, walk.height_m, walk.accepted, ground.carrier.plane, unconfirmed);
         } else {
             std::copy_n(walk.accepted.data(), size, ground.seen.data());
             attach(lows, ground.seen);
         }
     });
-    walk.walk(ground.seen.data(), alone.data());
+    walk.walk(ground.seen.data(), unconfirmed.data());
     std::copy_n(walk.accepted.data(), size, ground.seen.data());
     fill_ground(lattice, walk.height_m, ground.seen, ground.carrier.plane, ground.heights_m, ground.std_m);
-    // No plane, or one at the sensor's own height: the ground is not seen.
+    // No plane, or one at the sensor's own height: no ground is seen.
     const bool is_known = std::isfinite(height_m);
     const bool is_own = double(ground.heights_m[(n / 2) * n + n / 2]) > -MIN_HEIGHT_M;
     if (ground.carrier.support < MIN_SUPPORT || (!is_known && is_own)) {
-        ground.level_m = -(is_known ? height_m : lowest_m(lows));
+        ground.level_m = -(is_known ? height_m : estimated_height_m(lows));
     }
     return ground;
 }

@@ -1,4 +1,4 @@
-// Local ground, and how sure it is; viewshed.preprocess.ground says how it is found.
+// Estimate local ground and its uncertainty; the method is documented in viewshed.preprocess.ground.
 #pragma once
 
 #include "arrays.hpp"
@@ -8,16 +8,16 @@
 
 namespace viewshed {
 
-// Ground on a lattice (n, n), z from the sensor.
+// Ground on a lattice (n, n), z relative to the sensor.
 struct FoundGround {
     Buffer<float> heights_m, std_m;
     Buffer<bool> seen;    // the height rests on returns
     CarrierPlane carrier;
-    // NaN, or where the ground is not seen the z at which to take it as level.
+    // z of assumed level ground if no ground is seen, else NaN.
     double level_m;
 };
 
-// The ground by a low point of each node; the sensor's height is known or NaN.
+// Estimate the ground from a low point of each node; the sensor's height is known or NaN.
 FoundGround estimate_ground(const Lattice& lattice, const Lows& lows, double height_m);
 
 }  // namespace viewshed

@@ -13,51 +13,50 @@
 namespace viewshed {
 namespace {
 
-// Standard deviation where returns lie on the ground.
+// Standard deviation of nodes with returns on the ground.
 constexpr float SEEN_STD_M = 0.05f;
 
-// Doubt of a node's height per meter of its side; the least doubt per meter beyond the last return of a direction.
+// Standard deviation per meter of node side; its minimum per meter beyond the last return of a direction.
 constexpr double GROWTH = 0.015;
 constexpr float BEYOND_GROWTH = 0.01f;
 
-// Where the ground before and behind a gap differs by more than twice this, it may be as high as either.
+// If the heights across a gap differ by more than twice this, the ground in it may be as high as either.
 constexpr float STEP_M = 0.3f;
 
-// Where so large a share of what is seen lies this far below the carrier's plane, the land has a lower level.
+// The land has a lower level if this share of the seen nodes lies this far below the carrier plane.
 constexpr float LOWER_LEVEL_M = 1.0f;
 constexpr double LOWEST_SHARE = 0.05;
 
-// Beyond the last return of a direction the ground may fall to that level: it is taken half way, by this slope.
+// Beyond the last return of a direction the ground may fall to that level: assume half the fall, up to this slope.
 constexpr float FALL = 0.03f;
 
-// Between two returns of a direction ground lies between their heights, to this slope from the nearer one.
+// Between two returns of a direction, ground lies between their heights, plus this slope from the nearer one.
 constexpr float GAP_SLOPE = 0.02f;
 
-// Ground this far above or below the carrier's plane is a level of its own, which another direction must confirm.
+// Ground this far off the carrier plane is a separate level that another direction must confirm.
 constexpr float LEVEL_M = 0.3f;
 
-// It does if its own ground is as high to within this, and this slope across, at about the same range and 9 to 40 sectors
-// away (13° to 56°): a wedge cannot confirm itself.
+// Confirmation: similar height within this tolerance (plus this slope across) at similar range, 9 to 40 sectors (13° to
+// 56°) away, so that a wedge cannot confirm itself.
 constexpr float CONFIRM_M = 0.4f, CONFIRM_SLOPE = 0.02f;
 constexpr int CONFIRM_FROM = 9, CONFIRM_TO = 40;
 
-// Weight of the carrier's plane where returns show a level that no other direction confirms, and in the nodes below the
-// sensor, which no beam meets.
+// Weights of the base at unconfirmed levels, and in the nodes below the sensor, which no beam meets.
 constexpr float UNCONFIRMED_WEIGHT = 0.1f, BLIND_WEIGHT = 0.9f;
 
-// Nodes of a part that is worth a thread.
+// Fewest nodes for which a part pays for its thread.
 constexpr std::size_t PART = 8192;
 
 constexpr float UNSEEN = std::numeric_limits<float>::quiet_NaN();
 
-// Known heights over the base by range in nodes and sector (bins, SECTORS), NaN for none; and the base there.
+// Known heights above the base by range bin and sector (bins, SECTORS), NaN for none; and the base there.
 struct Profiles {
     explicit Profiles(std::size_t b) : bins(b), seen(b * SECTORS, UNSEEN), base(b * SECTORS) {}
     std::size_t bins;
     Buffer<float> seen, base;
 };
 
-// Call body(at) for each node that is marked. Most are not: eight are looked at together.
+// Call body(at) for each marked node. Most are unmarked: eight are tested at once.
 template <typename Body>
 INLINE void for_marked(View1<const bool> marked, const Body& body) {
     constexpr std::size_t STEP = 8;
@@ -72,7 +71,7 @@ INLINE void for_marked(View1<const bool> marked, const Body& body) {
     }
 }
 
-// Write the base (n, n), which is the carrier's plane that levels off.
+// Write the base surface (n, n): the carrier plane, leveling off with range.
 MULTIVERSION void find_base(const float* middle_m, const float* fade, std::size_t n, const Plane& carrier, float* base) {
     const float a = carrier[0], b = carrier[1], c = carrier[2];
     for (std::size_t i = 0; i < n; ++i) {
@@ -83,7 +82,7 @@ MULTIVERSION void find_base(const float* middle_m, const float* fade, std::size_
     }
 }
 
-// The base, and accepted heights above it, else 0.
+// The base, and the accepted heights above it, 0 elsewhere.
 struct OverBase {
     OverBase(const Lattice& lattice, View1<const float> walked_m, View1<const bool> accepted, const Plane& carrier)
         : base(lattice.size()), above(lattice.size(), 0.0f) {
@@ -93,13 +92,13 @@ struct OverBase {
     Buffer<float> base, above;
 };
 
-// Of several nodes in a bin the lowest counts: what lies above it may stand on it.
+// Build profiles. The lowest node of a bin counts: higher ones may stand on it.
 Profiles find_profiles(const Lattice& lattice, View1<const float> above, View1<const float> base,
                        View1<const bool> known) {
     Profiles profiles(lattice.bins);
     for_marked(known, [&](std::size_t at) {
         const std::size_t row = std::size_t(lattice.bin[at]) * SECTORS;
-        // A node covers every sector that it lies in.
+        // A node counts in every sector that it covers.
         for (int k = lattice.first[at]; k <= lattice.last[at]; ++k) {
             const std::size_t cell = row + std::size_t(k & (SECTORS - 1));
             if (profiles.seen[cell] <= above[at]) continue;
@@ -110,26 +109,26 @@ Profiles find_profiles(const Lattice& lattice, View1<const float> above, View1<c
     return profiles;
 }
 
-// Whether one of the heights of `count` sectors is about as high.
+// Check if one of the heights of `count` sectors is similar.
 INLINE bool has_level(const float* seen, int count, float level, float tolerance) {
     int found = 0;
     for (int k = 0; k < count; ++k) found |= std::fabs(seen[k] - level) < tolerance;
     return found != 0;
 }
 
-// Whether one of the heights of `count` sectors from `first` on around the turn is about as high.
+// The same from sector `first` on, wrapping around the turn.
 INLINE bool has_level_around(const float* row, int first, int count, float level, float tolerance) {
     first &= SECTORS - 1;
     const int before_end = std::min(count, SECTORS - first);
     return has_level(row + first, before_end, level, tolerance) || has_level(row, count - before_end, level, tolerance);
 }
 
-// Whether ground about as high over the base is seen (bins, SECTORS) on a side of sector `at`, at about this range in nodes.
+// Check if ground of similar height above the base is seen (bins, SECTORS)beside sector `at`, at about this range.
 MULTIVERSION bool confirms(const float* seen, int bins, int at, float range, float level, float node_m) {
     const int about = 2 + int(range) / 8;
     const float across_m = range * node_m * float(CONFIRM_FROM * 2 * std::numbers::pi / SECTORS);
     const float tolerance = CONFIRM_M + CONFIRM_SLOPE * across_m;
-    const int first = CONFIRM_FROM + int(2 * half_width(range));  // near the sensor a node is as wide as some sectors
+    const int first = CONFIRM_FROM + int(2 * half_width(range));  // near the sensor a node spans several sectors
     const int count = CONFIRM_TO - CONFIRM_FROM, last = first + count - 1;
     for (int b = std::max(int(range) - about, 1); b < std::min(int(range) + about + 1, bins); ++b) {
         const float* row = seen + std::size_t(b) * SECTORS;
@@ -140,22 +139,22 @@ MULTIVERSION bool confirms(const float* seen, int bins, int at, float range, flo
 }
 
 void find_unconfirmed(const Lattice& lattice, View1<const float> above, View1<const bool> accepted,
-                      const Profiles& profiles, View1<bool> alone) {
-    std::fill_n(alone.data, alone.size, false);
+                      const Profiles& profiles, View1<bool> unconfirmed) {
+    std::fill_n(unconfirmed.data, unconfirmed.size, false);
     for_marked(accepted, [&](std::size_t at) {
-        alone[at] = std::fabs(above[at]) > LEVEL_M &&
+        unconfirmed[at] = std::fabs(above[at]) > LEVEL_M &&
                     !confirms(profiles.seen.data(), int(profiles.bins), int(lattice.azimuth[at]),
                               lattice.range_nodes[at], above[at], float(lattice.node_m));
     });
 }
 
-// Mean, weight in [0, 1] and variance (n, n) of the nodes of one size.
+// One pyramid level: mean, weight in [0, 1] and variance (n, n).
 struct Level {
     std::size_t n;
     float *mean, *weight, *variance;
 };
 
-// Average each two by two nodes into the coarse ones, with the variance of all, plus `doubt`.
+// Average 2 × 2 nodes into each coarse node, with their total variance plus `doubt`.
 MULTIVERSION void pull(const Level& fine, float doubt, const Level& coarse) {
     const std::size_t n = fine.n, half = coarse.n;
     for (std::size_t p = 0; p < half; ++p) {
@@ -187,8 +186,8 @@ MULTIVERSION void pull(const Level& fine, float doubt, const Level& coarse) {
     }
 }
 
-// Values of a row of fine nodes between two rows of coarse ones, bilinear. Node i lies at i / 2 - 1/4 of them: between rows,
-// and then between columns, by quarters.
+// Interpolate a row of fine nodes bilinearly from two coarse rows. Fine node i lies at coarse position i / 2 - 1/4, so
+// the weights are quarters, first between rows, then between columns.
 INLINE void mix_rows(const float* near, const float* far, std::size_t half, float* between, float* mixed) {
     for (std::size_t q = 0; q < half; ++q) between[q + 1] = 0.75f * near[q] + 0.25f * far[q];
     between[0] = between[1];
@@ -199,7 +198,7 @@ INLINE void mix_rows(const float* near, const float* far, std::size_t half, floa
     }
 }
 
-// Fill what the weight of each node lacks from the coarse nodes around it. scratch holds 3 (n + 2) numbers.
+// Fill the missing weight of each node from the coarse nodes around it. scratch holds 3 (n + 2) floats.
 MULTIVERSION void push(const Level& coarse, const Level& fine, float* scratch) {
     const std::size_t n = fine.n, half = coarse.n;
     float *between = scratch, *mean_around = between + n + 2, *variance_around = mean_around + n + 2;
@@ -215,39 +214,40 @@ MULTIVERSION void push(const Level& coarse, const Level& fine, float* scratch) {
     }
 }
 
-// Draw nodes without weight to the mean of the four beside them, to and fro: straight lines between returns.
+// Relax nodes without weight to the mean of their four neighbors, forward and backward (Gauss-Seidel): straight lines
+// between returns.
 //
-// Each node takes two neighbors that are drawn already and two that are not. Nodes on a diagonal do not depend on each other,
-// so that diagonals, as rows of an array, are drawn one after the other by vectors.
-MULTIVERSION void smooth_diagonals(float* mean, const float* lacking, std::size_t n) {
-    const auto draw = [&](std::size_t d) {
+// Each node uses two updated neighbors and two old ones. Nodes on a diagonal are independent, so diagonals are stored
+// as rows and vectorized one after the other.
+MULTIVERSION void smooth_diagonals(float* mean, const float* missing, std::size_t n) {
+    const auto relax = [&](std::size_t d) {
         const std::size_t begin = d > n - 2 ? d - (n - 2) : 1, end = std::min(n - 2, d - 1) + 1;
         float* here = mean + d * n;
-        const float *before = mean + (d - 1) * n, *after = mean + (d + 1) * n, *lack = lacking + d * n;
+        const float *before = mean + (d - 1) * n, *after = mean + (d + 1) * n, *lack = missing + d * n;
         for (std::size_t i = begin; i < end; ++i) {
             const float around = 0.25f * (before[i - 1] + after[i + 1] + before[i] + after[i]);
             here[i] += lack[i] * (around - here[i]);
         }
     };
-    for (std::size_t d = 2; d <= 2 * n - 4; ++d) draw(d);
-    for (std::size_t d = 2 * n - 4; d >= 2; --d) draw(d);
+    for (std::size_t d = 2; d <= 2 * n - 4; ++d) relax(d);
+    for (std::size_t d = 2 * n - 4; d >= 2; --d) relax(d);
 }
 
 void smooth(const Level& level, Buffer<float>& scratch) {
     const std::size_t n = level.n;
     if (n < 3) return;
-    constexpr std::size_t BLOCK_ROWS = 16;  // rows at a time, so that their diagonals stay in the nearest memory
-    float *mean = scratch.data(), *lacking = mean + 2 * n * n;
+    constexpr std::size_t BLOCK_ROWS = 16;  // block of rows whose diagonals stay in the L1 cache
+    float *mean = scratch.data(), *missing = mean + 2 * n * n;
     for (std::size_t start = 0; start < n; start += BLOCK_ROWS) {
         const std::size_t end = std::min(start + BLOCK_ROWS, n);
         for (std::size_t j = 0; j < n; ++j) {
             for (std::size_t i = start; i < end; ++i) {
                 mean[(i + j) * n + i] = level.mean[i * n + j];
-                lacking[(i + j) * n + i] = 1.0f - level.weight[i * n + j];
+                missing[(i + j) * n + i] = 1.0f - level.weight[i * n + j];
             }
         }
     }
-    smooth_diagonals(mean, lacking, n);
+    smooth_diagonals(mean, missing, n);
     for (std::size_t start = 1; start < n - 1; start += BLOCK_ROWS) {
         const std::size_t end = std::min(start + BLOCK_ROWS, n - 1);
         for (std::size_t j = 1; j < n - 1; ++j) {
@@ -256,7 +256,7 @@ void smooth(const Level& level, Buffer<float>& scratch) {
     }
 }
 
-// Fill nodes without weight from the level of nodes twice as large, which is filled first.
+// Fill nodes without weight from the next coarser level, recursively.
 void fill(const Level& level, double node_m, Buffer<float>& scratch) {
     const std::size_t half = (level.n + 1) / 2;
     Buffer<float> values(3 * half * half);
@@ -267,7 +267,7 @@ void fill(const Level& level, double node_m, Buffer<float>& scratch) {
     smooth(level, scratch);
 }
 
-// How far below the base heights over it show a lower level, 0 for none.
+// Return the depth of a lower level below the base, 0 for none.
 float find_lower_level(std::vector<float> above_m) {
     if (above_m.empty()) return 0.0f;
     const auto k = above_m.begin() + std::ptrdiff_t(LOWEST_SHARE * double(above_m.size()));
@@ -275,12 +275,12 @@ float find_lower_level(std::vector<float> above_m) {
     return -*k > LOWER_LEVEL_M ? -*k : 0.0f;
 }
 
-// What is seen nearest before each bin of a sector, and behind it: its height over the base, its bin, and the base.
+// Nearest seen node before and behind each bin of a sector: its height above the base, its bin, and the base.
 struct Gaps {
     explicit Gaps(std::size_t bins)
         : near_seen(bins * SECTORS), near_bin(bins * SECTORS), far_seen(bins * SECTORS), far_bin(bins * SECTORS),
           far_base(bins * SECTORS) {}
-    Buffer<float> near_seen, near_bin, far_seen, far_bin, far_base;  // far_bin is -1 where nothing is seen behind
+    Buffer<float> near_seen, near_bin, far_seen, far_bin, far_base;  // far_bin is -1 if nothing is seen behind
 };
 
 MULTIVERSION void find_gaps(const Profiles& profiles, Gaps& gaps) {
@@ -313,9 +313,9 @@ MULTIVERSION void find_gaps(const Profiles& profiles, Gaps& gaps) {
     }
 }
 
-// Raise the deviation in gaps along the lines of sight, and mend heights there. Behind an edge the ground lies below the beam
-// that passes it, and not far below where that beam meets the ground. Beyond the last return it may lie as it does nearby,
-// or at a level that is `lower` meters below the base. All z are from the sensor.
+// Raise the standard deviation in gaps along the lines of sight, and correct heights there. Behind an edge the ground
+// lies below the beam that passes it, and not far below the point where that beam meets the ground. Beyond the last
+// return the ground may be as nearby, or at a level `lower` meters below the base. All z are relative to the sensor.
 void doubt_gaps(const Lattice& lattice, const Gaps& gaps, View1<const float> base, View1<const bool> known, float lower,
                 View1<float> heights, View1<float> std) {
     const auto node_m = float(lattice.node_m);
@@ -348,7 +348,7 @@ void doubt_gaps(const Lattice& lattice, const Gaps& gaps, View1<const float> bas
             if (0.5f * std::fabs(before - behind) > STEP_M) {
                 heights[at] = 0.5f * (high + low);
             } else {
-                // What other directions show does not lead out of what this one shows on both sides.
+                // Clamp to the range that this direction shows on both sides.
                 const float slack = SEEN_STD_M + GAP_SLOPE * node_m * std::min(far - r, r - gaps.near_bin[cell]);
                 heights[at] = std::min(std::max(heights[at], low - slack), high + slack);
             }
@@ -356,7 +356,7 @@ void doubt_gaps(const Lattice& lattice, const Gaps& gaps, View1<const float> bas
     });
 }
 
-// Write weights and which nodes are known: accepted, or so near to the sensor that no beam meets them.
+// Write weights and a mask of known nodes: accepted, or too near to the sensor for any beam.
 MULTIVERSION void weigh(const std::uint8_t* accepted, const float* range_m, std::size_t size, float blind_m,
                         float* weight, std::uint8_t* known) {
     for (std::size_t at = 0; at < size; ++at) {
@@ -365,7 +365,7 @@ MULTIVERSION void weigh(const std::uint8_t* accepted, const float* range_m, std:
     for (std::size_t at = 0; at < size; ++at) known[at] = weight[at] > 0.0f ? 1 : 0;
 }
 
-// Turn heights over the base into heights, and variances into deviations.
+// Add the base to heights, and convert variances to standard deviations.
 MULTIVERSION void add_base(const float* base, const float* variance, std::size_t size, float* heights_m, float* std_m) {
     for (std::size_t at = 0; at < size; ++at) heights_m[at] += base[at];
     for (std::size_t at = 0; at < size; ++at) std_m[at] = std::sqrt(variance[at]);
@@ -377,8 +377,8 @@ void fill_ground(const Lattice& lattice, View1<const float> walked_m, View1<cons
                  View1<float> heights_m, View1<float> std_m) {
     const std::size_t n = lattice.nodes, size = lattice.size();
     Buffer<float> weight(size), variance(size);
-    Buffer<bool> known(size), alone(size);
-    // 1. Accepted heights above the base. No beam meets the ground just below the sensor: there the base counts.
+    Buffer<bool> known(size), unconfirmed(size);
+    // 1. Accepted heights above the base. The base counts just below the sensor, where no beam meets the ground.
     const OverBase over(lattice, walked_m, accepted, carrier);
     float nearest_m = std::numeric_limits<float>::infinity();
     for_marked(accepted, [&](std::size_t at) { nearest_m = std::min(nearest_m, lattice.range_m[at]); });
@@ -387,18 +387,17 @@ void fill_ground(const Lattice& lattice, View1<const float> walked_m, View1<cons
     const float blind_m = double(nearest_m) >= 2.0 * node_m ? nearest_m + float(0.5 * node_m) : float(2.5 * node_m);
     weigh(reinterpret_cast<const std::uint8_t*>(accepted.data), lattice.range_m.data(), size, blind_m, weight.data(),
           reinterpret_cast<std::uint8_t*>(known.data()));
-    // 2. The base counts, weakly, also where returns show a level that no other direction confirms. They hold for their own
-    //    nodes.
+    // 2. The base also counts, weakly, at unconfirmed levels; their heights hold for their own nodes only.
     const Profiles profiles = find_profiles(lattice, over.above, over.base, known);
-    find_unconfirmed(lattice, over.above, accepted, profiles, alone);
+    find_unconfirmed(lattice, over.above, accepted, profiles, unconfirmed);
     std::copy_n(over.above.data(), size, heights_m.data);
     std::fill_n(variance.data(), size, SEEN_STD_M * SEEN_STD_M);
-    for_marked(alone, [&](std::size_t at) {
+    for_marked(unconfirmed, [&](std::size_t at) {
         weight[at] = UNCONFIRMED_WEIGHT;
         heights_m[at] = 0.0f;
         variance[at] = LEVEL_M * LEVEL_M;
     });
-    // 3. Heights over the base and their variance in between; beside it, what lies before and behind each gap.
+    // 3. Interpolate heights above the base and their variance; in parallel, find the gaps.
     Gaps gaps(profiles.bins);
     run_parts(2, [&](std::size_t part) {
         if (part == 0) {
@@ -412,21 +411,21 @@ void fill_ground(const Lattice& lattice, View1<const float> walked_m, View1<cons
     std::vector<float> confirmed;
     confirmed.reserve(size);
     for_marked(accepted, [&](std::size_t at) {
-        if (!alone[at]) {
+        if (!unconfirmed[at]) {
             confirmed.push_back(over.above[at]);
             return;
         }
         heights_m[at] = walked_m[at];
         std_m[at] = SEEN_STD_M;
     });
-    // 4. Gaps along the lines of sight.
+    // 4. Correct gaps along the lines of sight.
     doubt_gaps(lattice, gaps, over.base, known, find_lower_level(std::move(confirmed)), heights_m, std_m);
 }
 
 void find_unconfirmed_levels(const Lattice& lattice, View1<const float> walked_m, View1<const bool> accepted,
-                             const Plane& carrier, View1<bool> alone) {
+                             const Plane& carrier, View1<bool> unconfirmed) {
     const OverBase over(lattice, walked_m, accepted, carrier);
-    find_unconfirmed(lattice, over.above, accepted, find_profiles(lattice, over.above, over.base, accepted), alone);
+    find_unconfirmed(lattice, over.above, accepted, find_profiles(lattice, over.above, over.base, accepted), unconfirmed);
 }
 
 }  // namespace viewshed

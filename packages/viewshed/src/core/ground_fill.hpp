@@ -1,12 +1,12 @@
-// Ground between and beyond the returns that lie on it, with a standard deviation.
+// Interpolate and extrapolate ground heights, with standard deviations.
 //
-// Heights above a base surface are averaged over coarser and coarser nodes, and nodes without returns take the height of the
-// finest level that has some (pull-push; Gortler et al., The Lumigraph, SIGGRAPH 1996). The deviation is the spread of what
-// was averaged, plus a doubt that grows with the size of the nodes. Along a line of sight it is at least half of the
-// difference between the heights before and behind a gap: an edge hides what lies below it.
+// Heights above a base surface are averaged over ever coarser nodes, and nodes without returns take the height of the
+// finest level with data (pull-push; Gortler et al., The Lumigraph, SIGGRAPH 1996). The standard deviation is the
+// spread of the averaged heights plus a term that grows with the node size. In a gap along a line of sight it is at
+// least half of the height difference across the gap: an edge occludes lower ground.
 //
-// A level that only a narrow sector shows is not carried to its sides: one wedge of false returns would move the ground of
-// half the view.
+// A level seen only in a narrow sector is not extended sideways: a wedge of false returns must not move half the
+// ground.
 #pragma once
 
 #include "arrays.hpp"
@@ -15,13 +15,13 @@
 
 namespace viewshed {
 
-// Write heights (n, n) of the ground at the middle of each node, z from the sensor, and their standard deviations (n, n).
-// walked_m (n, n) are heights of the nodes that are accepted (n, n), those on which returns lie; others do not matter.
+// Write ground heights (n, n) at the nodes' centers, z relative to the sensor, and their standard deviations (n, n).
+// walked_m (n, n) are the heights of accepted nodes (n, n), i.e. those with returns on the ground; others are ignored.
 void fill_ground(const Lattice& lattice, View1<const float> walked_m, View1<const bool> accepted, const Plane& carrier,
                  View1<float> heights_m, View1<float> std_m);
 
-// Mark the accepted nodes (n, n) that lie on a level which no other direction confirms.
+// Mark accepted nodes (n, n) on a level that no other direction confirms.
 void find_unconfirmed_levels(const Lattice& lattice, View1<const float> walked_m, View1<const bool> accepted,
-                             const Plane& carrier, View1<bool> alone);
+                             const Plane& carrier, View1<bool> unconfirmed);
 
 }  // namespace viewshed

@@ -11,55 +11,55 @@
 namespace viewshed {
 namespace {
 
-// From this range on the slope of the carrier's plane fades, over this distance: land is mostly level.
+// Beyond PLANE_M the carrier plane's slope fades over TILT_M: land is mostly level.
 constexpr float PLANE_M = 30.0f, TILT_M = 20.0f;
 
-// Of an odd number of nodes one lies at the sensor, at range 0.
-constexpr float LEAST_M = 1e-6f;
+// Lower bound of the range: with an odd number of nodes one lies at range 0.
+constexpr float MIN_RANGE_M = 1e-6f;
 
-// How many lattices are kept.
-constexpr std::size_t KEPT = 4;
+// Size of the lattice cache.
+constexpr std::size_t CACHE_SIZE = 4;
 
 Lattice make_lattice(std::size_t n, double half_m) {
     const double node_m = 2.0 * half_m / double(n), center = double(n) / 2;
-    Lattice made{n, half_m, node_m, std::vector<float>(n), {}, {}, {}, {}, std::size_t(0.75 * double(n)) + 1,
+    Lattice lattice{n, half_m, node_m, std::vector<float>(n), {}, {}, {}, {}, std::size_t(0.75 * double(n)) + 1,
                  {}, {}, {}, {}, {}};
-    for (std::size_t i = 0; i < n; ++i) made.middle_m[i] = float((double(i) + 0.5) * node_m - half_m);
+    for (std::size_t i = 0; i < n; ++i) lattice.middle_m[i] = float((double(i) + 0.5) * node_m - half_m);
 
-    // 1. Range of each node, and its place among sectors and bins.
-    for (auto* of_node : {&made.range_m, &made.fade, &made.azimuth, &made.range_nodes}) of_node->resize(n * n);
-    for (auto* of_node : {&made.bin, &made.first, &made.last}) of_node->resize(n * n);
+    // 1. Range, sector and bin of each node.
+    for (auto* of_node : {&lattice.range_m, &lattice.fade, &lattice.azimuth, &lattice.range_nodes}) of_node->resize(n * n);
+    for (auto* of_node : {&lattice.bin, &lattice.first, &lattice.last}) of_node->resize(n * n);
     for (std::size_t i = 0; i < n; ++i) {
         for (std::size_t j = 0; j < n; ++j) {
             const std::size_t at = i * n + j;
-            const float range_m = std::hypot(made.middle_m[i], made.middle_m[j]);
+            const float range_m = std::hypot(lattice.middle_m[i], lattice.middle_m[j]);
             const float beyond_m = std::max(range_m - PLANE_M, 0.0f);
-            made.range_m[at] = range_m;
-            made.fade[at] = 1.0f - (beyond_m + TILT_M * std::expm1(-beyond_m / TILT_M)) / std::max(range_m, LEAST_M);
+            lattice.range_m[at] = range_m;
+            lattice.fade[at] = 1.0f - (beyond_m + TILT_M * std::expm1(-beyond_m / TILT_M)) / std::max(range_m, MIN_RANGE_M);
             const float u = float(double(i) + 0.5 - center), v = float(double(j) + 0.5 - center);
             const float azimuth = (std::atan2(v, u) + PI) * float(SECTORS / (2 * std::numbers::pi));
             const float range = std::sqrt(u * u + v * v);
-            made.azimuth[at] = azimuth;
-            made.range_nodes[at] = range;
-            made.bin[at] = std::int16_t(std::min(int(range), int(made.bins) - 1));
-            made.first[at] = std::int16_t(std::floor(azimuth - half_width(range)));
-            made.last[at] = std::int16_t(std::floor(azimuth + half_width(range)));
+            lattice.azimuth[at] = azimuth;
+            lattice.range_nodes[at] = range;
+            lattice.bin[at] = std::int16_t(std::min(int(range), int(lattice.bins) - 1));
+            lattice.first[at] = std::int16_t(std::floor(azimuth - half_width(range)));
+            lattice.last[at] = std::int16_t(std::floor(azimuth + half_width(range)));
         }
     }
 
-    // 2. The nearest first; of those as near the first of the lattice.
-    std::vector<double> away(n * n);
+    // 2. Sort by range, stable.
+    std::vector<double> distance(n * n);
     for (std::size_t at = 0; at < n * n; ++at) {
-        away[at] = std::hypot(double(at / n) - (center - 0.5), double(at % n) - (center - 0.5));
+        distance[at] = std::hypot(double(at / n) - (center - 0.5), double(at % n) - (center - 0.5));
     }
-    std::vector<std::uint32_t>& order = made.order;
+    std::vector<std::uint32_t>& order = lattice.order;
     order.resize(n * n);
     std::iota(order.begin(), order.end(), 0u);
-    std::stable_sort(order.begin(), order.end(), [&](std::uint32_t a, std::uint32_t b) { return away[a] < away[b]; });
+    std::stable_sort(order.begin(), order.end(), [&](std::uint32_t a, std::uint32_t b) { return distance[a] < distance[b]; });
     for (const std::uint32_t at : order) {
-        made.padded.push_back(std::uint32_t((at / n + 1) * (n + 2) + at % n + 1));
+        lattice.padded.push_back(std::uint32_t((at / n + 1) * (n + 2) + at % n + 1));
     }
-    return made;
+    return lattice;
 }
 
 }  // namespace
@@ -75,13 +75,13 @@ void require_bounded(View1<const float> values, const char* rule) {
 
 std::shared_ptr<const Lattice> lattice_of(std::size_t nodes, double half_m) {
     static std::mutex mutex;
-    static std::vector<std::shared_ptr<const Lattice>> kept;
+    static std::vector<std::shared_ptr<const Lattice>> cache;
     std::lock_guard lock(mutex);
-    for (const auto& one : kept) {
+    for (const auto& one : cache) {
         if (one->nodes == nodes && one->half_m == half_m) return one;
     }
-    if (kept.size() == KEPT) kept.erase(kept.begin());
-    return kept.emplace_back(std::make_shared<const Lattice>(make_lattice(nodes, half_m)));
+    if (cache.size() == CACHE_SIZE) cache.erase(cache.begin());
+    return cache.emplace_back(std::make_shared<const Lattice>(make_lattice(nodes, half_m)));
 }
 
 }  // namespace viewshed

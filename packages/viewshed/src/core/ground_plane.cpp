@@ -12,39 +12,39 @@
 namespace viewshed {
 namespace {
 
-// Steepest ground plane that is looked for in the level frame (12°).
+// Steepest ground plane in the level frame (12°).
 constexpr double MAX_SLOPE = 0.21;
 
-// A known height of the sensor is right to within this.
+// Tolerance of a known sensor height.
 constexpr double KNOWN_TO_M = 0.4;
 
-// At least FEWEST_NODES nodes up to this far from the sensor decide which plane carries it.
+// Range of the nodes that decide which plane carries the sensor, and their required number.
 constexpr float NEAR_M = 28.0f;
 constexpr std::size_t FEWEST_NODES = 6;
 
-// A node with this many nearer ones in its sector counts a quarter.
+// A node with this many nearer ones in its sector weighs a quarter.
 constexpr double CARRIER_NODES = 2.0;
 constexpr int CARRIER_SECTORS = 64;
 
-// Weight of a node below a plane against one on it: land may fall away from the road, while a roof hides it.
+// Penalty weight of a node below a plane: small, since land may fall away from the road, but a roof hides it.
 constexpr float BELOW_SHARE = 0.35f;
 
-// Share of all weight by which a plane of slope 1 counts less: of two with about as much on them the flatter one.
+// Penalty of a plane of slope 1, as a share of the total weight: of similar planes the flatter one wins.
 constexpr double LEVEL_SHARE = 0.4;
 
-// Planes are tried on about this number of points.
+// Approximate number of points on which planes are scored.
 constexpr std::size_t SCORED_POINTS = 400;
 
 constexpr int TRIALS = 256;
 
-// Planes that are tried at once, in the lanes of vectors.
+// Planes that are scored at once in vectors.
 constexpr std::size_t LANES = 16;
 
-// Fewest points and area below for a plane in any attitude.
+// Fewest points for a plane in any attitude, and its penalty weight of area below.
 constexpr std::size_t FEWEST_POINTS = 50;
 constexpr double BELOW_AREA = 2.0;
 
-// The next number of a linear congruential sequence (Numerical Recipes' constants).
+// Linear congruential generator (Numerical Recipes' constants).
 INLINE std::uint32_t next(std::uint32_t state) {
     return state * 1664525u + 1013904223u;
 }
@@ -61,7 +61,7 @@ struct Points3 {
     }
 };
 
-// The sector of a point, by the arctangent of the library, which is asked only where the faster one might be wrong.
+// Return the sector of a point. The library's arctangent is used only near a border, where the fast one might be wrong.
 int sector_of(float x, float y) {
     constexpr float PER_RAD = float(CARRIER_SECTORS / (2 * std::numbers::pi)), NEAR_BORDER = 1e-3f;
     float at = (azimuth_of(y, x) + PI) * PER_RAD;
@@ -70,14 +70,14 @@ int sector_of(float x, float y) {
     return int(at) % CARRIER_SECTORS;
 }
 
-// The low points within NEAR_M of the sensor. A point's weight falls with the number of nearer ones in its sector.
+// Return the low points within NEAR_M of the sensor. Weights fall with the number of nearer ones in a sector.
 Points3 near_points(const Lows& lows) {
-    Points3 near(lows.some.size());
+    Points3 near(lows.occupied.size());
     Buffer<float> square_m2(near.size);
     Buffer<std::uint8_t> sector(near.size);
     std::array<std::uint32_t, CARRIER_SECTORS + 1> begin{};
     std::size_t count = 0;
-    for (const std::int32_t node : lows.some) {
+    for (const std::int32_t node : lows.occupied) {
         const float x = lows.x_m[node], y = lows.y_m[node], d2 = x * x + y * y;
         if (!(d2 < NEAR_M * NEAR_M)) continue;
         near.x[count] = x;
@@ -89,7 +89,7 @@ Points3 near_points(const Lows& lows) {
         ++count;
     }
     near.size = count;
-    // Points by sector, and in each the nearest first; of those as near the first. A sector has few: they are inserted.
+    // Sort points by sector and range, stable, by insertion: a sector has few.
     std::partial_sum(begin.begin(), begin.end(), begin.begin());
     std::array<std::uint32_t, CARRIER_SECTORS> end;
     std::copy_n(begin.begin(), CARRIER_SECTORS, end.begin());
@@ -110,22 +110,21 @@ Points3 near_points(const Lows& lows) {
     return near;
 }
 
-// The numbers in [0, 1) that decide which three points each trial takes, in ascending order, with the place of each in the
-// sequence.
-struct Draws {
+// Random numbers in [0, 1) for the three points of each trial, ascending, with the position of each in the sequence.
+struct SortedNumbers {
     std::array<float, 3 * TRIALS> part;
     std::array<std::uint16_t, 3 * TRIALS> place;
 };
 
-const Draws& draws() {
-    static const Draws sorted = [] {
+const SortedNumbers& random_numbers() {
+    static const SortedNumbers sorted = [] {
         std::array<float, 3 * TRIALS> parts;
         std::uint32_t state = 12345;
         for (float& part : parts) {
             state = next(state);
             part = float(state >> 8) * 0x1p-24f;
         }
-        Draws made;
+        SortedNumbers made;
         std::iota(made.place.begin(), made.place.end(), std::uint16_t{0});
         std::sort(made.place.begin(), made.place.end(), [&](auto a, auto b) { return parts[a] < parts[b]; });
         for (std::size_t k = 0; k < parts.size(); ++k) made.part[k] = parts[made.place[k]];
@@ -134,23 +133,23 @@ const Draws& draws() {
     return sorted;
 }
 
-// The points of all trials, each drawn by its weight.
-std::array<std::uint32_t, 3 * TRIALS> draw_points(const Points3& points) {
-    std::array<std::uint32_t, 3 * TRIALS> drawn;
+// Sample the points of all trials by weight.
+std::array<std::uint32_t, 3 * TRIALS> sample_points(const Points3& points) {
+    std::array<std::uint32_t, 3 * TRIALS> sampled;
     Buffer<float> sums(points.size);
     std::partial_sum(points.weight.data(), points.weight.data() + points.size, sums.data());
     const std::size_t last = points.size - 1;
-    const Draws& sequence = draws();
+    const SortedNumbers& sequence = random_numbers();
     std::size_t at = 0;
-    for (std::size_t k = 0; k < drawn.size(); ++k) {
+    for (std::size_t k = 0; k < sampled.size(); ++k) {
         const float part = sequence.part[k] * sums[last];
         while (at < last && sums[at] < part) ++at;
-        drawn[sequence.place[k]] = std::uint32_t(at);
+        sampled[sequence.place[k]] = std::uint32_t(at);
     }
-    return drawn;
+    return sampled;
 }
 
-// Whether a plane goes through three points and may be ground; it is written to `plane`.
+// Fit a plane through three points; false if they are degenerate or the plane cannot be ground.
 bool plane_through(const Points3& points, const std::uint32_t* three, Plane& plane) {
     const std::uint32_t p = three[0], q = three[1], r = three[2];
     const float x1 = points.x[q] - points.x[p], y1 = points.y[q] - points.y[p];
@@ -164,7 +163,7 @@ bool plane_through(const Points3& points, const std::uint32_t* three, Plane& pla
     return plane[0] * plane[0] + plane[1] * plane[1] <= MAX_SLOPE * MAX_SLOPE && plane[2] < 0.0f;
 }
 
-// Of LANES planes the weight of the points on each, less a share of that of points clearly below it.
+// Write for LANES planes the weight of the points on each, minus a share of that of points clearly below.
 MULTIVERSION void score_planes(const float* x, const float* y, const float* z, const float* weight,
                                const float* tolerance, std::size_t count, const float* a, const float* b,
                                const float* c, float* scores) {
@@ -179,15 +178,15 @@ MULTIVERSION void score_planes(const float* x, const float* y, const float* z, c
     for (std::size_t l = 0; l < LANES; ++l) scores[l] = score[l];
 }
 
-// The best of the planes through three points each, and its score; 0 for none.
+// Find the best plane through three points, and return its score; 0 for none.
 double best_plane(const Points3& points, double height_m, Plane& best) {
-    // 1. Planes that may be ground, as columns.
+    // 1. Generate planes that may be ground.
     std::array<float, TRIALS> a{}, b{}, c{}, score{};
     std::size_t planes = 0;
-    const auto drawn = draw_points(points);
+    const auto sampled = sample_points(points);
     for (int trial = 0; trial < TRIALS; ++trial) {
         Plane plane;
-        if (!plane_through(points, &drawn[std::size_t(3 * trial)], plane)) continue;
+        if (!plane_through(points, &sampled[std::size_t(3 * trial)], plane)) continue;
         const bool near = std::isfinite(height_m) ? std::fabs(double(plane[2]) + height_m) <= KNOWN_TO_M
                                                   : double(plane[2]) <= -MIN_HEIGHT_M;
         if (!near) continue;
@@ -197,35 +196,35 @@ double best_plane(const Points3& points, double height_m, Plane& best) {
         ++planes;
     }
 
-    // 2. How much lies on each, of some of the points.
+    // 2. Score the planes on a subset of the points.
     const std::size_t stride = std::max<std::size_t>(points.size / SCORED_POINTS, 1);
-    Points3 some((points.size + stride - 1) / stride);
-    Buffer<float> tolerance(some.size);
+    Points3 subset((points.size + stride - 1) / stride);
+    Buffer<float> tolerance(subset.size);
     float total = 0.0f;
-    for (std::size_t k = 0; k < some.size; ++k) {
-        some.x[k] = points.x[k * stride];
-        some.y[k] = points.y[k * stride];
-        some.z[k] = points.z[k * stride];
-        some.weight[k] = points.weight[k * stride];
-        tolerance[k] = 0.10f + 0.006f * (std::fabs(some.x[k]) + std::fabs(some.y[k]));
-        total += some.weight[k];
+    for (std::size_t k = 0; k < subset.size; ++k) {
+        subset.x[k] = points.x[k * stride];
+        subset.y[k] = points.y[k * stride];
+        subset.z[k] = points.z[k * stride];
+        subset.weight[k] = points.weight[k * stride];
+        tolerance[k] = 0.10f + 0.006f * (std::fabs(subset.x[k]) + std::fabs(subset.y[k]));
+        total += subset.weight[k];
     }
     for (std::size_t l = 0; l < planes; l += LANES) {
-        score_planes(some.x.data(), some.y.data(), some.z.data(), some.weight.data(), tolerance.data(), some.size, &a[l],
-                     &b[l], &c[l], &score[l]);
+        score_planes(subset.x.data(), subset.y.data(), subset.z.data(), subset.weight.data(), tolerance.data(),
+                     subset.size, &a[l], &b[l], &c[l], &score[l]);
     }
 
-    // 3. Of two planes with about as much on them the flatter one: roads climb rarely.
-    double most = 0.0;
+    // 3. Prefer flatter planes among similar ones: roads are rarely steep.
+    double max_score = 0.0;
     for (std::size_t l = 0; l < planes; ++l) {
         const double slope = double(std::sqrt(a[l] * a[l] + b[l] * b[l]));
         const double value = double(score[l]) - LEVEL_SHARE * slope * double(total);
-        if (value > most) {
-            most = value;
+        if (value > max_score) {
+            max_score = value;
             best = {a[l], b[l], c[l]};
         }
     }
-    return most;
+    return max_score;
 }
 
 // Solve m x = b (3 × 3) by Gaussian elimination with partial pivoting, in place.
@@ -245,7 +244,7 @@ void solve(double (&m)[3][4]) {
     }
 }
 
-// The plane of weighted least squares through the points on a plane.
+// Refit a plane by weighted least squares to the points on it.
 Plane refit(const Points3& points, const Plane& plane) {
     double xx = 0, xy = 0, x1 = 0, yy = 0, y1 = 0, w1 = 0, xz = 0, yz = 0, z1 = 0;
     for (std::size_t k = 0; k < points.size; ++k) {
@@ -269,7 +268,7 @@ Plane refit(const Points3& points, const Plane& plane) {
     return {float(m[0][3]), float(m[1][3]), float(m[2][3])};
 }
 
-// Add up the area of the points on LANES planes through `normal` (3, LANES), and that of those below.
+// Sum the area of the points on, and below, LANES planes with `normal` (3, LANES).
 MULTIVERSION void sum_areas(const float* points, const float* area, const double* tolerance, std::size_t count,
                             const float (*normal)[LANES], const float* offset, double* on, double* below) {
     double sum_on[LANES] = {}, sum_below[LANES] = {};
@@ -318,7 +317,7 @@ FreePlane free_plane(View2<const float> points) {
         tolerance[k] = 0.1 + 0.005 * double(std::sqrt(area[k]));
         all += area[k];
     }
-    // 1. Planes through three points each that may be ground.
+    // 1. Generate planes through three points that may be ground.
     float normal[3][TRIALS] = {}, offset[TRIALS] = {};
     std::size_t planes = 0;
     std::uint32_t state = 777;
@@ -340,18 +339,18 @@ FreePlane free_plane(View2<const float> points) {
         for (int axis = 0; axis < 3; ++axis) normal[axis][planes] = n[axis];
         offset[planes++] = below;
     }
-    // 2. The one with the most area on it, and little below.
-    double most = 0.0, most_on = 0.0;
+    // 2. Choose the plane with the most area on it, and little below.
+    double max_score = 0.0, most_on = 0.0;
     for (std::size_t l = 0; l < planes; l += LANES) {
-        float some[3][LANES];
-        for (int axis = 0; axis < 3; ++axis) std::copy_n(&normal[axis][l], LANES, some[axis]);
+        float subset[3][LANES];
+        for (int axis = 0; axis < 3; ++axis) std::copy_n(&normal[axis][l], LANES, subset[axis]);
         double on[LANES], below[LANES];
-        sum_areas(points.data, area.data(), tolerance.data(), count, some, &offset[l], on, below);
+        sum_areas(points.data, area.data(), tolerance.data(), count, subset, &offset[l], on, below);
         for (std::size_t k = 0; k < std::min(LANES, planes - l); ++k) {
-            if (on[k] - BELOW_AREA * below[k] > most) {
-                most = on[k] - BELOW_AREA * below[k];
+            if (on[k] - BELOW_AREA * below[k] > max_score) {
+                max_score = on[k] - BELOW_AREA * below[k];
                 most_on = on[k];
-                best.normal = {some[0][k], some[1][k], some[2][k]};
+                best.normal = {subset[0][k], subset[1][k], subset[2][k]};
             }
         }
     }

@@ -1,4 +1,4 @@
-// Robust planes through points: RANSAC with a fixed sequence, so that the same points give the same plane.
+// Robust planes through points: RANSAC with a fixed random sequence, hence deterministic.
 #pragma once
 
 #include <array>
@@ -8,7 +8,7 @@
 
 namespace viewshed {
 
-// A plane nearer below the sensor than this is a desk, a hood or its own nearly level beams, not the ground.
+// A plane less far below the sensor is a desk, a hood or the sensor's own nearly level beams, not the ground.
 constexpr double MIN_HEIGHT_M = 0.25;
 
 // (a, b, c) of the plane z = a x + b y + c.
@@ -16,12 +16,12 @@ using Plane = std::array<float, 3>;
 
 struct CarrierPlane {
     Plane plane;
-    double support;  // share of the near nodes on it; 0 where none was found
+    double support;  // share of near nodes on it; 0 for no plane
 };
 
-// The plane that carries the sensor, whose height is known or NaN. The best plane has many nodes on it and few below it;
-// least squares on its nodes then refines it. Nodes count the more the nearer they are: a vehicle stands on what it sees
-// around it, and not on the fields below the embankment.
+// Fit the plane that carries the sensor, whose height is known or NaN. The best plane has many nodes on it and few
+// below; least squares on its nodes refines it. Near nodes weigh more: a vehicle stands on the ground around it, not on
+// lower fields.
 CarrierPlane carrier_plane(const Lows& lows, double height_m);
 
 struct FreePlane {
@@ -29,8 +29,8 @@ struct FreePlane {
     double support;  // share of the area on it
 };
 
-// The unit normal of the ground below a sensor tilted by up to 60°. Points (n, 3) are in the sensor frame; they count by the
-// square of their distance, as the area that a beam stands for. The sensor must lie above the plane and few returns below.
+// Return the unit normal of the ground below a sensor tilted by up to 60°. Points (n, 3) are in the sensor frame,
+// weighted by squared distance (the area that a beam stands for). The sensor is above the plane, and few returns below.
 FreePlane free_plane(View2<const float> points);
 
 }  // namespace viewshed

@@ -14,23 +14,23 @@ namespace {
 
 constexpr float INFINITE = std::numeric_limits<float>::infinity();
 
-// Rows of cells that are worth a thread.
+// Fewest rows of cells for which a part pays for its thread.
 constexpr std::size_t ROWS = 32;
 
-// A window this many firings wide has that many, whatever its rounding.
+// Tolerance in firings when the width of a window is rounded down.
 constexpr double ROUNDING = 1e-6;
 
-// Nearest returns (rings, 2 * columns) of the beams, the circle twice, so that no window is cut.
+// Nearest returns (rings, 2 * columns); the columns are repeated once so that no window wraps.
 using Nearest = View2<const float>;
 
-// Rings that are counted side by side, in one register or more.
+// Rings that are counted at once in vectors.
 constexpr std::size_t LANES = 16;
 using Ranges [[gnu::vector_size(4 * LANES), gnu::aligned(4), gnu::may_alias]] = float;
 using Counts [[gnu::vector_size(4 * LANES)]] = std::int32_t;
 using Weights [[gnu::vector_size(8 * LANES), gnu::aligned(8), gnu::may_alias]] = double;
 using Bits64 [[gnu::vector_size(8 * LANES)]] = std::int64_t;
 
-// Nearest ranges by column, (2 * columns, rings + LANES): the rings of a column lie side by side.
+// Transpose nearest ranges to (2 * columns, rings + LANES): the rings of a column are contiguous.
 Buffer<float> by_column(Nearest nearest) {
     const std::size_t padded = nearest.rows + LANES;
     Buffer<float> turned(nearest.columns * padded, INFINITE);
@@ -45,8 +45,8 @@ Buffer<float> by_column(Nearest nearest) {
     return turned;
 }
 
-// Write the margins of some cells: over the rings that pass, the firings sent less the beams blocked, not below 0; and which of
-// them have the least where gaps are closed as well. The two ranges of a beam are counted side by side, for LANES rings at once.
+// Write the margins of cells [first, last), and mark those whose margin with closed gaps is at least `least`. Both
+// ranges of a beam are counted in one pass, for LANES rings at once.
 MULTIVERSION void count_margins(const SentBeams& sent, const float* nearest, const float* closed, std::int32_t least,
                                 std::size_t first, std::size_t last, std::int32_t* margin, bool* claim) {
     const std::size_t padded = sent.of->rings + LANES;
@@ -57,7 +57,7 @@ MULTIVERSION void count_margins(const SentBeams& sent, const float* nearest, con
             Counts blocked{}, closed_blocked{};
             const float *range_m = nearest + at.begin * padded + begin, *closed_m = closed + at.begin * padded + begin;
             for (std::size_t k = 0; k < at.width; ++k, range_m += padded, closed_m += padded) {
-                // A comparison that holds is -1.
+                // A true vector comparison is -1.
                 blocked -= *reinterpret_cast<const Ranges*>(range_m) < at.near_m;
                 closed_blocked -= *reinterpret_cast<const Ranges*>(closed_m) < at.near_m;
             }
@@ -71,8 +71,8 @@ MULTIVERSION void count_margins(const SentBeams& sent, const float* nearest, con
     }
 }
 
-// Write which rings pass between a target's foot and its top in some cells: as each ring is above the one before, those from one
-// up to another, a step or two from the last cell's.
+// Write the rings that pass between a target's foot and its top in cells [first, last). Rings ascend, so they form an
+// interval; its ends move a step or two from cell to cell.
 void find_rings(SentBeams& sent, const float* low_m, const float* high_m, View2<const float> slope, const float* start_m,
                 std::size_t first, std::size_t last) {
     const double per_rad = double(slope.rows) / (2 * std::numbers::pi);
@@ -93,14 +93,13 @@ void find_rings(SentBeams& sent, const float* low_m, const float* high_m, View2<
     }
 }
 
-// A cell that an attack changes, and the share in it of each beam that is needed there.
+// A cell that an attack changes, and the weight of each beam needed there.
 struct Share {
     std::size_t cell;
     double of_beam;
 };
 
-// Add to each beam (columns, LANES) of the rings from `begin` on the cells that it helps to change, each shared by the beams
-// that are needed there.
+// Add to each beam (columns, LANES) of the rings from `begin` on the weights of the cells that it helps to change.
 MULTIVERSION void share_cells(const SentBeams& sent, const float* nearest, const std::vector<Share>& shares, bool opens,
                               std::size_t begin, double* weight) {
     const std::size_t columns = sent.of->columns, padded = sent.of->rings + LANES;
@@ -120,8 +119,8 @@ MULTIVERSION void share_cells(const SentBeams& sent, const float* nearest, const
     }
 }
 
-// Write which of some cells a wedge of `wide` columns changes wherever it begins, and add to `more` (4 * columns + 1) how many
-// more a wedge changes that begins in a column than one before it; starts from -columns on.
+// Mark the cells that a wedge of `wide` columns can change, and add to `more` (4 * columns + 1) how many more cells a
+// wedge that begins in a column changes than one that begins a column before; index 0 is column -columns.
 MULTIVERSION void count_starts(const SentBeams& sent, Nearest nearest, const std::int32_t* margin, const bool* counts,
                                const Attack& rule, std::size_t wide, std::size_t first_cell, std::size_t last_cell,
                                bool* changes, std::int64_t* more) {
@@ -132,20 +131,21 @@ MULTIVERSION void count_starts(const SentBeams& sent, Nearest nearest, const std
         const std::int32_t needed = rule.needed(margin[cell]);
         if (needed == 0 || !counts[cell]) continue;
         const TargetColumns::Window at = sent.of->windows[cell];
-        // The beams of each column that can change.
+        // Count the beams of each column that can change.
         std::fill_n(of_column.begin(), at.width, 0);
         for (std::size_t ring = sent.ring[cell]; ring < sent.ring_end[cell]; ++ring) {
             const float* const range_m = nearest[ring] + at.begin;
             for (std::size_t k = 0; k < at.width; ++k) of_column[k] += std::int32_t((range_m[k] < at.near_m) == rule.opens);
         }
-        // The most that a wedge covers.
+        // Maximize over the positions of the wedge.
         std::int32_t covered = 0, most = 0;
         for (std::size_t k = 0; k < at.width; ++k) {
             covered += of_column[k] - (k >= wide ? of_column[k - wide] : 0);
             most = std::max(most, covered);
         }
         if (most < needed) continue;
-        // It must reach the column up to which enough can change from the left, and begin no later than that from the right.
+        // The wedge must reach the column up to which enough beams can change from the left, and begin no later than
+        // the corresponding column from the right.
         std::int32_t left = 0, right = 0;
         std::size_t reach = 0, begin = at.width;
         while (left < needed) left += of_column[reach++];
@@ -154,19 +154,19 @@ MULTIVERSION void count_starts(const SentBeams& sent, Nearest nearest, const std
         auto last = std::int64_t(at.begin + begin);
         if (first > last) continue;
         changes[cell] = true;
-        // No start counts a cell twice, however wide the wedge.
+        // Limit the starts to one turn, so that no start counts a cell twice.
         last = std::min(last, first + columns - 1);
         ++more[first + columns];
         --more[last + columns + 1];
     }
 }
 
-// Squares of the ranges within which a return is one.
+// Squared range limits of returns.
 struct Limits {
     float near_m2, far_m2;
 };
 
-// Write the horizontal ranges of some points (count, 3), +inf where they are no returns, and their azimuths in columns.
+// Write the horizontal ranges of points (count, 3), +inf outside the range limits, and their azimuths in columns.
 MULTIVERSION void find_columns(const float* __restrict points, std::size_t count, const float* __restrict turn, Limits limits,
                                float per_rad, float* __restrict range_m, float* __restrict turned) {
     for (std::size_t k = 0; k < count; ++k) {
@@ -178,7 +178,7 @@ MULTIVERSION void find_columns(const float* __restrict points, std::size_t count
     }
 }
 
-// Combine each GAP + 1 neighbors: (count + GAP,) to (count,).
+// Combine GAP + 1 consecutive values: (count + GAP,) to (count,).
 template <typename Combine>
 void over_stretches(const float* __restrict from, float* __restrict to, std::size_t count, Combine combine) {
     std::copy(from, from + count, to);
@@ -187,7 +187,7 @@ void over_stretches(const float* __restrict from, float* __restrict to, std::siz
     }
 }
 
-// The rings of the points by elevation: the beam whose line passes nearest at the point's range.
+// Return the ring whose beam passes nearest to a point at its range.
 std::size_t ring_of(float x, float y, float z, View1<const float> tangent, View1<const float> origin_m) {
     const float range_m = std::max(std::sqrt(x * x + y * y), 1e-6f);
     const auto miss = [&](std::size_t ring) { return std::fabs(z - origin_m[ring] - range_m * tangent[ring]); };
@@ -222,7 +222,7 @@ TargetColumns::TargetColumns(View2<const float> range, View2<const float> azimut
 SentBeams::SentBeams(std::shared_ptr<const TargetColumns> columns, View2<const float> low_m, View2<const float> high_m,
                      View2<const float> slope, View1<const float> start_m)
     : of(std::move(columns)), ring(of->windows.size(), 0), ring_end(of->windows.size(), 0) {
-    // Rings that rise where the nearest target may stand, and whose slopes do, rise at every range.
+    // If rings ascend at the nearest possible target, and so do their slopes, they ascend at every range.
     float nearest_m = INFINITE;
     for (std::size_t cell = 0; cell < of->windows.size(); ++cell) {
         if (of->windows[cell].firings > 0) nearest_m = std::min(nearest_m, of->range_m[cell]);
@@ -258,7 +258,7 @@ Buffer<float> nearest_returns(View2<const float> points, View1<const std::int16_
             at = std::min(at, range_m[k]);
         }
     }
-    // The circle once more.
+    // Repeat the columns.
     for (std::size_t ring = 0; ring < tangent.size; ++ring) {
         float* const of = nearest.data() + ring * 2 * columns;
         std::copy(of, of + columns, of + columns);
@@ -271,7 +271,7 @@ Buffer<float> without_gaps(Nearest nearest) {
     Buffer<float> closed(nearest.size());
     std::vector<float> around(columns + 2 * GAP), least(columns + GAP);
     for (std::size_t ring = 0; ring < nearest.rows; ++ring) {
-        // The least of each stretch of GAP + 1 columns; a column takes the greatest of those that it lies in.
+        // Minimum over each stretch of GAP + 1 columns, then the maximum over the stretches that contain a column.
         std::copy(nearest[ring] + columns - GAP, nearest[ring] + 2 * columns, around.begin());
         std::copy(nearest[ring], nearest[ring] + GAP, around.begin() + std::ptrdiff_t(columns + GAP));
         over_stretches(around.data(), least.data(), least.size(), [](float a, float b) { return a < b ? a : b; });

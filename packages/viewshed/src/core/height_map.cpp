@@ -5,7 +5,7 @@
 namespace viewshed {
 namespace {
 
-// A coordinate in nodes, within [0, last]; 0 where it is not a number.
+// Clamp a coordinate to [0, last]; NaN becomes 0.
 INLINE double clamped(double at, double last) {
     at = at > 0.0 ? at : 0.0;
     return at < last ? at : last;

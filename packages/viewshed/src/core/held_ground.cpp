@@ -9,23 +9,23 @@
 namespace viewshed {
 namespace {
 
-// Growth of the deviation of ground carried over, by a doubt of the poses' attitudes (0.1°): more, the farther away.
+// Standard deviation per meter of range, from the uncertainty of the poses' attitudes (0.1°).
 constexpr double TILT_STD = 0.002;
 
-// Two sweeps agree on ground that both see if their heights differ by no more than this, and twice their deviations.
+// Two sweeps agree on a node if their heights differ by at most this plus twice their standard deviations.
 constexpr float AGREE_M = 0.3f;
 
-// They agree around a node if this share does of the nodes that both see at most AROUND rows and columns away.
+// They agree around a node if this share of commonly seen nodes within AROUND rows and columns does.
 constexpr std::ptrdiff_t AROUND = 3;
 constexpr double AGREEING_SHARE = 0.75;
 
-// Where fewer of all nodes that both see agree than this share, a pose is wrong, and nothing is carried over.
-constexpr double MOST = 0.5;
+// If a smaller share of all commonly seen nodes agrees, a pose is wrong, and nothing is carried over.
+constexpr double MIN_AGREEING_SHARE = 0.5;
 
 constexpr float NONE = std::numeric_limits<float>::infinity();
 
-// Write heights and deviations (n, n) of what an earlier lattice saw on the nodes of the present one. Bilinear between nodes;
-// the deviation is +inf where the nearest one was not seen.
+// Write heights and standard deviations (n, n) of the earlier ground on the present lattice, bilinear; the standard
+// deviation is +inf if the nearest node was not seen.
 void move_ground(const SeenGround& before, const HeldPoses& poses, float variance_m2, std::size_t n, float half_m,
                  View1<float> moved_m, View1<float> moved_std_m) {
     const std::size_t m = before.heights_m.rows;
@@ -61,7 +61,7 @@ void move_ground(const SeenGround& before, const HeldPoses& poses, float varianc
     }
 }
 
-// Give each node the label (n, n) of the nearest one at distance 0, by two passes of a chamfer distance (n, n).
+// Give each node the label (n, n) of the nearest node at distance 0, by two passes of a chamfer distance (n, n).
 void spread_nearest(std::ptrdiff_t n, View1<float> away, View1<bool> label) {
     for (const std::ptrdiff_t step : {1, -1}) {
         for (std::ptrdiff_t a = 0; a < n; ++a) {
@@ -69,7 +69,7 @@ void spread_nearest(std::ptrdiff_t n, View1<float> away, View1<bool> label) {
             for (std::ptrdiff_t b = 0; b < n; ++b) {
                 const std::ptrdiff_t j = step > 0 ? b : n - 1 - b;
                 const auto at = std::size_t(i * n + j);
-                // The four neighbors that this pass has visited: one beside it, three in the row before.
+                // Neighbors visited by this pass: one in this row, three in the row before.
                 for (int k = 0; k < 4; ++k) {
                     const std::ptrdiff_t p = k == 0 ? i : i - step, q = k == 0 ? j - step : j + k - 2;
                     if (p < 0 || q < 0 || p >= n || q >= n) continue;
@@ -85,21 +85,21 @@ void spread_nearest(std::ptrdiff_t n, View1<float> away, View1<bool> label) {
     }
 }
 
-// Mark the nodes (n, n) that only the earlier sweep saw, where it is surer than the present one and agreed with. The nearest
-// node that both see decides, by the share that agrees of the nodes around it that both see. Returns whether any is marked.
+// Mark nodes (n, n) that only the earlier sweep saw, if it is more certain there than the present one and both agree:
+// the nearest common node decides, by the share of agreeing common nodes around it. Return whether any is marked.
 bool find_agreed(const SeenGround& now, View1<const float> moved_m, View1<const float> moved_std_m, View1<bool> taken) {
     const auto n = std::ptrdiff_t(now.heights_m.rows);
     const auto size = std::size_t(n * n);
     std::fill_n(taken.data, size, false);
-    const auto is_both = [&](std::size_t at) { return now.seen.data[at] && moved_std_m[at] < NONE; };
-    // Sums over the rectangle from (0, 0): nodes that both see, and those of them that agree.
+    const auto is_common = [&](std::size_t at) { return now.seen.data[at] && moved_std_m[at] < NONE; };
+    // Summed-area tables of common nodes, and of agreeing ones.
     Buffer<std::int32_t> both(std::size_t((n + 1) * (n + 1)), 0), agree(std::size_t((n + 1) * (n + 1)), 0);
     const auto corner = [n](std::ptrdiff_t i, std::ptrdiff_t j) { return std::size_t(i * (n + 1) + j); };
     for (std::ptrdiff_t i = 0; i < n; ++i) {
         std::int32_t row_both = 0, row_agree = 0;
         for (std::ptrdiff_t j = 0; j < n; ++j) {
             const auto at = std::size_t(i * n + j);
-            if (is_both(at)) {
+            if (is_common(at)) {
                 ++row_both;
                 const float doubt_m = 2.0f * (now.std_m.data[at] + moved_std_m[at]);
                 row_agree += std::fabs(moved_m[at] - now.heights_m.data[at]) <= AGREE_M + doubt_m;
@@ -108,15 +108,15 @@ bool find_agreed(const SeenGround& now, View1<const float> moved_m, View1<const 
             agree[corner(i + 1, j + 1)] = agree[corner(i, j + 1)] + row_agree;
         }
     }
-    if (double(agree[corner(n, n)]) < MOST * double(both[corner(n, n)])) return false;  // a pose is wrong
-    // Nodes that both see are at distance 0 and say whether they agree; without any all others may be taken.
+    if (double(agree[corner(n, n)]) < MIN_AGREEING_SHARE * double(both[corner(n, n)])) return false;  // a pose is wrong
+    // Common nodes are at distance 0, labeled by agreement; without any, all other nodes may be taken.
     Buffer<float> away(size, NONE);
     Buffer<bool> agreed(size, true);
     for (std::ptrdiff_t i = 0; i < n; ++i) {
         const std::ptrdiff_t top = std::max<std::ptrdiff_t>(i - AROUND, 0), bottom = std::min(i + AROUND + 1, n);
         for (std::ptrdiff_t j = 0; j < n; ++j) {
             const auto at = std::size_t(i * n + j);
-            if (!is_both(at)) continue;
+            if (!is_common(at)) continue;
             const std::ptrdiff_t left = std::max<std::ptrdiff_t>(j - AROUND, 0), right = std::min(j + AROUND + 1, n);
             const auto within = [&](const Buffer<std::int32_t>& sums) {
                 return double(sums[corner(bottom, right)] - sums[corner(top, right)] - sums[corner(bottom, left)] +
@@ -140,12 +140,12 @@ bool find_agreed(const SeenGround& now, View1<const float> moved_m, View1<const 
 bool hold_ground(const SeenGround& now, const SeenGround& before, const HeldPoses& poses, float variance_m2,
                  const Plane& carrier, float height_m, View1<float> heights_m, View1<float> std_m, View1<bool> seen) {
     const std::size_t n = now.heights_m.rows, size = n * n;
-    // 1. What the earlier sweep saw, on the present lattice, and where it is taken.
+    // 1. Move the earlier ground to the present lattice, and decide which nodes to take.
     Buffer<float> moved_m(size), moved_std_m(size);
     Buffer<bool> taken(size);
     move_ground(before, poses, variance_m2, n, float(now.half_m), moved_m, moved_std_m);
     if (!find_agreed(now, moved_m, moved_std_m, taken)) return false;
-    // 2. Fill what neither saw from both; heights and plane are then counted from the sensor.
+    // 2. Fill the nodes that neither saw; here heights and plane are relative to the sensor.
     Buffer<float> walked_m(size);
     for (std::size_t at = 0; at < size; ++at) {
         seen[at] = now.seen.data[at] || taken[at];

@@ -11,27 +11,27 @@
 namespace viewshed {
 namespace {
 
-// Obstacle pixels of similar depth at most GAP_ROWS or GAP_COLUMNS (8° or 2°) apart belong to one obstacle.
+// Obstacle pixels of similar depth within GAP_ROWS (8°) or GAP_COLUMNS (2°) belong to one obstacle.
 constexpr int GAP_ROWS = 40, GAP_COLUMNS = 8;
 constexpr float SIMILAR = 1.25f;
 
-// Such a gap is closed where something farther was seen in it if it is narrower than this: seen from elsewhere.
-constexpr double SEEN_THROUGH_M = 1.0;
+// A gap in which something farther was seen is closed if it is narrower than this: that was seen from another position.
+constexpr double MAX_GAP_M = 1.0;
 
-// The map of obstacles, a square about the sensor: one stands where two sweeps saw it in the same or in neighboring cells.
+// Obstacle map around the sensor. An obstacle is confirmed if two sweeps saw it in the same or neighboring cells.
 constexpr float MAP_CELL_M = 0.5f;
 constexpr std::int32_t MAP_CELLS = 512;
 
-// In the map: no sweep, and more than one; a single sweep stands by its number, from 1.
+// Map values: no sweep, and several sweeps; a single sweep is stored by its number, from 1.
 constexpr std::int32_t NOBODY = 0, SEVERAL = -1;
 
-// Obstacles nearer than this are not remembered: too near for a direction, and often the vehicle itself.
+// Nearer obstacles are ignored: too near for a direction, and often the vehicle itself.
 constexpr float NEAREST_M = 1.0f;
 
-// A line of sight is open if more than this share of a target is in view past what is remembered.
-constexpr float LEAST_VIEW = 0.05f;
+// A line of sight is open if more than this share of a target is visible past the remembered obstacles.
+constexpr float MIN_VIEW_SHARE = 0.05f;
 
-// As the header has them.
+// Short names of the header's constants.
 constexpr std::size_t ROWS = SLOPE_ROWS, COLUMNS = AZIMUTHS;
 
 constexpr float NONE = std::numeric_limits<float>::infinity();
@@ -52,7 +52,7 @@ std::vector<Point> obstacle_points(View2<const float> points, View1<const float>
 
 namespace {
 
-// The cell of a point in the map, at least one from the edge; -1 outside.
+// Return the map cell of a point, at least one from the edge; -1 outside.
 std::int32_t map_cell(float x, float y) {
     const float u = std::floor(x * (1.0f / MAP_CELL_M)) + MAP_CELLS / 2;
     const float v = std::floor(y * (1.0f / MAP_CELL_M)) + MAP_CELLS / 2;
@@ -60,7 +60,7 @@ std::int32_t map_cell(float x, float y) {
     return inside ? std::int32_t(u) * MAP_CELLS + std::int32_t(v) : -1;
 }
 
-// The pixel of a direction in the image, -1 outside.
+// Return the pixel of a direction, -1 outside.
 INLINE std::int32_t pixel_of(float azimuth, float slope) {
     const float row = (slope - float(LEAST_SLOPE)) * float(ROWS / (MOST_SLOPE - LEAST_SLOPE));
     float column = (azimuth + PI) * float(COLUMNS / (2 * std::numbers::pi));
@@ -70,7 +70,7 @@ INLINE std::int32_t pixel_of(float azimuth, float slope) {
     return inside ? std::int32_t(row) * std::int32_t(COLUMNS) + std::int32_t(column) : -1;
 }
 
-// Enter a sweep's number in the cells of its obstacles; SEVERAL where another's is.
+// Write a sweep's number into the cells of its obstacles; SEVERAL where another sweep's is.
 void mark_cells(const std::vector<Point>& points, std::int32_t number, std::vector<std::int32_t>& seen_by) {
     for (const Point& p : points) {
         const std::int32_t cell = map_cell(p.x, p.y);
@@ -80,15 +80,14 @@ void mark_cells(const std::vector<Point>& points, std::int32_t number, std::vect
     }
 }
 
-// Lower the image to a sweep's obstacles that another one saw as well. `own` is the sweep's number; NOBODY lets its own marks
-// count and so takes them all.
+// Draw a sweep's obstacles that another sweep saw as well. `own` is the sweep's number; NOBODY draws all.
 void draw_obstacles(const std::vector<Point>& points, float sensor_height_m, const std::vector<std::int32_t>& seen_by,
                     std::int32_t own, View2<float> image) {
     for (const Point& p : points) {
         const float range_m = std::sqrt(p.x * p.x + p.y * p.y);
         const std::int32_t cell = map_cell(p.x, p.y);
         if (cell < 0 || range_m < NEAREST_M) continue;
-        // Is there a mark of another sweep in the cell or in one of its eight neighbors?
+        // Look for another sweep's mark in the cell and its eight neighbors.
         bool confirmed = false;
         for (const std::int32_t row : {cell - MAP_CELLS, cell, cell + MAP_CELLS}) {
             for (const std::int32_t at : {row - 1, row, row + 1}) {
@@ -101,14 +100,14 @@ void draw_obstacles(const std::vector<Point>& points, float sensor_height_m, con
     }
 }
 
-// Fill gaps of at most `gap` steps between pixels of a line with similar depths, as those between rings are. A line is
-// `size` pixels, `step` apart. Pixels of something farther in a gap were seen from elsewhere. They are filled as well where
-// the gap is narrow: of fewer than `narrow` steps at a meter.
+// Fill gaps of at most `gap` steps between pixels of similar depth in a line, e.g. between rings. A line has `size`
+// pixels, `step` apart. Gaps with farther pixels, which were seen from another position, are filled only if they are
+// narrower than `narrow` steps at one meter.
 void fill_gaps(float* line, int size, std::size_t step, int gap, float narrow) {
     for (int at = 0; at < size; ++at) {
         const float depth = line[at * step];
         if (depth == NONE) continue;
-        // Back to the nearest pixel that is no farther: of the same obstacle, or the gap is none of its own.
+        // Go back to the nearest pixel that is no farther: the same obstacle, or no gap of this one.
         int before = at - 1;
         bool seen_through = false;
         while (before >= 0 && at - before <= gap && line[before * step] >= depth * SIMILAR) {
@@ -123,22 +122,22 @@ void fill_gaps(float* line, int size, std::size_t step, int gap, float narrow) {
     }
 }
 
-// Close the gaps between the rings and between the columns of one obstacle.
+// Close the gaps between rings and between columns of an obstacle.
 void close_gaps(View2<float> image) {
     constexpr double ROW_STEP = (MOST_SLOPE - LEAST_SLOPE) / ROWS, COLUMN_STEP = 2 * std::numbers::pi / COLUMNS;
     for (std::size_t c = 0; c < COLUMNS; ++c) {
-        fill_gaps(image[0] + c, int(ROWS), COLUMNS, GAP_ROWS, float(SEEN_THROUGH_M / ROW_STEP));
+        fill_gaps(image[0] + c, int(ROWS), COLUMNS, GAP_ROWS, float(MAX_GAP_M / ROW_STEP));
     }
     for (std::size_t r = 0; r < ROWS; ++r) {
-        fill_gaps(image[r], int(COLUMNS), 1, GAP_COLUMNS, float(SEEN_THROUGH_M / COLUMN_STEP));
+        fill_gaps(image[r], int(COLUMNS), 1, GAP_COLUMNS, float(MAX_GAP_M / COLUMN_STEP));
     }
 }
 
-// Take the pixels at the left, right and upper edges of obstacles out of the image: a beam that shares one with an edge may
-// pass beside it. What is narrower than three pixels goes altogether.
+// Remove pixels at the left, right and upper edges of obstacles: a beam in an edge pixel may pass beside the obstacle.
+// Obstacles narrower than three pixels vanish.
 void leave_out_edges(View2<float> image) {
     std::vector<float> above(COLUMNS, NONE), row(COLUMNS);
-    for (std::size_t r = ROWS; r-- > 0;) {  // from the top, so that the row above is still known
+    for (std::size_t r = ROWS; r-- > 0;) {  // from the top, so that the row above is unmodified
         std::copy_n(image[r], COLUMNS, row.data());
         for (std::size_t c = 0; c < COLUMNS; ++c) {
             const float farthest = std::max({row[(c + COLUMNS - 1) % COLUMNS], row[(c + 1) % COLUMNS], above[c]});
@@ -151,16 +150,16 @@ void leave_out_edges(View2<float> image) {
 }  // namespace
 
 void draw_image(const std::vector<std::vector<Point>>& sweeps, float sensor_height_m, View2<float> image) {
-    // 1. Which sweeps saw an obstacle in each cell of the map?
+    // 1. Mark which sweeps saw an obstacle in each map cell.
     std::vector<std::int32_t> seen_by(std::size_t(MAP_CELLS) * MAP_CELLS, NOBODY);
     for (std::size_t k = 0; k < sweeps.size(); ++k) mark_cells(sweeps[k], std::int32_t(k) + 1, seen_by);
-    // 2. What another sweep saw there as well; of a single sweep everything.
+    // 2. Draw confirmed obstacles; all of a single sweep.
     std::fill_n(image.data, image.size(), NONE);
     for (std::size_t k = 0; k < sweeps.size(); ++k) {
         const std::int32_t own = sweeps.size() > 1 ? std::int32_t(k) + 1 : NOBODY;
         draw_obstacles(sweeps[k], sensor_height_m, seen_by, own, image);
     }
-    // 3. Solid between its returns, and not beyond them.
+    // 3. Close the gaps between returns, and remove edges.
     close_gaps(image);
     leave_out_edges(image);
 }
@@ -187,7 +186,7 @@ void confirm_cells(View2<const bool> seen, View2<const float> earlier_from_now, 
             const float v = (to_y[0] * x + to_y[1] * y + to_y[2] - origin_m[1]) * per_m;
             const bool there = u >= 0 && v >= 0 && u < side && v < side && seen(std::size_t(u), std::size_t(v));
             const std::size_t n = i * cells + j;
-            confirmed[n] = there && open[n] > LEAST_VIEW * whole[n];
+            confirmed[n] = there && open[n] > MIN_VIEW_SHARE * whole[n];
         }
     }
 }

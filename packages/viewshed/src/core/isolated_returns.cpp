@@ -17,31 +17,31 @@ constexpr float NONE = std::numeric_limits<float>::infinity();
 constexpr double SIMILAR = 1.25;
 constexpr float DOWN = float(1.0 / (SIMILAR * SIMILAR)), UP = float(SIMILAR * SIMILAR);
 
-// The neighbor of a return in its ring is the next one, at most this number of columns away.
+// The neighbor of a return in its ring is the next return, at most this many columns away.
 constexpr int NEIGHBOR_COLUMNS = 8;
 
-// A return confirms another one if the ratio of their ranges is below this, and it lies in this window of pixels.
+// A return confirms another one if the ratio of their ranges is below CONFIRMING and it lies in this window of pixels.
 constexpr double CONFIRMING = 1.1;
 constexpr int WINDOW_RINGS = 1, WINDOW_COLUMNS = 4;
 constexpr int WINDOW_PIXELS = (2 * WINDOW_RINGS + 1) * (2 * WINDOW_COLUMNS + 1) - 1;
 
-// A sweep with a larger share of isolated returns (of a few hundred at least) is cluttered: this share of its random returns
-// may be confirmed by chance, and all others are clutter.
+// A sweep (of FEWEST_RETURNS or more) with a larger share of isolated returns is cluttered: a share CHANCE of its
+// random returns may be confirmed by chance, and all others are clutter.
 constexpr double CLUTTERED_SHARE = 0.02, CHANCE = 0.01;
 constexpr std::size_t FEWEST_RETURNS = 256;
-constexpr int LEAST_CONFIRMATIONS = 2;
+constexpr int MIN_CONFIRMATIONS = 2;
 
-// About this share of the returns at random ranges is isolated.
+// About this share of random returns is isolated.
 constexpr double ISOLATED_OF_RANDOM = 0.6;
 constexpr int RANGE_BINS = 128;
 
-// Returns of a part that is worth a thread.
+// Fewest returns for which a part pays for its thread.
 constexpr std::size_t PART = 8192;
 
 INLINE bool is_between(float value, float low, float high) { return (value > low) & (value < high); }
 
-// Write the nearest returns of one ring, negative where one of the four pixels beside confirms them: most of all, found by
-// vectors.
+// Write the nearest returns of one ring, negated if an adjacent pixel confirms them. Vectorized: this covers most
+// returns.
 MULTIVERSION void confirm_ring(const float* below, const float* row, const float* above, std::size_t columns,
                                float* confirmed) {
     confirmed[0] = row[0];
@@ -54,7 +54,7 @@ MULTIVERSION void confirm_ring(const float* below, const float* row, const float
     }
 }
 
-// The next return of a ring on one side of a column, +inf for none near.
+// Return the next return of a ring on one side of a column, +inf if none is near.
 float next_in_ring(const float* row, int columns, int c, int step) {
     for (int k = 0; k < NEIGHBOR_COLUMNS; ++k) {
         c += step;
@@ -64,8 +64,7 @@ float next_in_ring(const float* row, int columns, int c, int step) {
     return NONE;
 }
 
-// Whether there are returns around (r, c), and none of them at a range similar to the root of d2. In a silent column it
-// suffices that none is similar.
+// Check that there are returns around (r, c), none of them at a range similar to sqrt(d2). Silent columns need none.
 bool is_isolated(View2<const float> nearest_m2, int r, int c, float d2, bool silent) {
     const int rings = int(nearest_m2.rows), columns = int(nearest_m2.columns);
     const float low = d2 * DOWN, high = d2 * UP;
@@ -73,7 +72,7 @@ bool is_isolated(View2<const float> nearest_m2, int r, int c, float d2, bool sil
     const float left = next_in_ring(nearest_m2[r], columns, c, -1), right = next_in_ring(nearest_m2[r], columns, c, 1);
     if (is_between(left, low, high) || is_between(right, low, high)) return false;
     float nearest = std::min(left, right);
-    // The three pixels of the ring below and of the ring above; the image closes around the circle.
+    // Three pixels each of the ring below and above; the image wraps around.
     const int before = c > 0 ? c - 1 : columns - 1, after = c + 1 < columns ? c + 1 : 0;
     for (const int p : {r - 1, r + 1}) {
         if (p < 0 || p >= rings) continue;
@@ -84,7 +83,7 @@ bool is_isolated(View2<const float> nearest_m2, int r, int c, float d2, bool sil
     return silent || nearest < NONE;
 }
 
-// How many pixels in the window around (r, c) confirm a return there.
+// Count the pixels in the window around (r, c) that confirm a return there.
 int count_confirmations(View2<const float> nearest_m2, int r, int c, float d2) {
     constexpr float down = float(1.0 / (CONFIRMING * CONFIRMING)), up = float(CONFIRMING * CONFIRMING);
     const int rings = int(nearest_m2.rows), columns = int(nearest_m2.columns);
@@ -98,16 +97,16 @@ int count_confirmations(View2<const float> nearest_m2, int r, int c, float d2) {
     return count;
 }
 
-// The least number of confirmations that chance gives to at most one in a hundred returns, by the mean number of them.
-int least_confirmations(double mean) {
+// Return the smallest number of confirmations that a share CHANCE of random returns reaches at most, given the mean.
+int required_confirmations(double mean) {
     double term = 1.0, sum = 0.0;
-    int least = 1;
+    int required = 1;
     for (int number = 1; number <= WINDOW_PIXELS + 1; ++number) {
-        sum += term;  // P(N < number), less the factor exp(-mean)
+        sum += term;  // P(N < number) / exp(-mean)
         term *= mean / number;
-        least += 1.0 - std::exp(-mean) * sum > CHANCE;
+        required += 1.0 - std::exp(-mean) * sum > CHANCE;
     }
-    return std::max(least, LEAST_CONFIRMATIONS);
+    return std::max(required, MIN_CONFIRMATIONS);
 }
 
 }  // namespace
@@ -129,7 +128,7 @@ void find_isolated_returns(View1<const std::int16_t> ring, View1<const std::int3
             isolated[n] = behind[n] = false;
             const float d2 = squared_m2[n];
             if (d2 < 0.0f) continue;
-            // Most returns are the nearest of a pixel that is confirmed already.
+            // Shortcut: most returns are the nearest of a pixel that is confirmed already.
             const int r = ring[n], c = column[n];
             const float nearest = confirmed[std::size_t(r) * columns + std::size_t(c)];
             if (d2 != -nearest && is_isolated(nearest_m2, r, c, d2, silent[c])) {
@@ -147,7 +146,7 @@ bool is_cluttered(View1<const bool> isolated) {
 
 void find_clutter(View1<const std::int16_t> ring, View1<const std::int32_t> column, View1<const float> squared_m2,
                   View2<const float> nearest_m2, View1<const bool> isolated, float near_m, View1<bool> clutter) {
-    // 1. Isolated returns by logarithmic bins of range, each as wide as two returns that confirm each other may differ.
+    // 1. Count isolated returns in logarithmic range bins, as wide as two confirming returns may differ.
     std::array<double, RANGE_BINS> isolated_in{};
     Buffer<std::uint8_t> bin(ring.size);
     const float per_log = float(1.0 / std::log(CONFIRMING));
@@ -157,18 +156,18 @@ void find_clutter(View1<const std::int16_t> ring, View1<const std::int32_t> colu
         bin[n] = std::uint8_t(step > 0.0f ? std::min(step, float(RANGE_BINS - 1)) : 0.0f);
         isolated_in[bin[n]] += isolated[n];
     }
-    // 2. The mean number of random returns of similar range in a window of pixels, and what chance allows of it.
-    std::array<int, RANGE_BINS> least;
+    // 2. Compute the mean number of random returns of similar range in a window, and the confirmations required.
+    std::array<int, RANGE_BINS> required;
     for (int k = 0; k < RANGE_BINS; ++k) {
         const double before = k > 0 ? isolated_in[k - 1] : 0.0, after = k + 1 < RANGE_BINS ? isolated_in[k + 1] : 0.0;
         const double similar = isolated_in[k] + 0.5 * (before + after);
-        least[k] = least_confirmations(similar * WINDOW_PIXELS / (ISOLATED_OF_RANDOM * double(nearest_m2.size())));
+        required[k] = required_confirmations(similar * WINDOW_PIXELS / (ISOLATED_OF_RANDOM * double(nearest_m2.size())));
     }
-    // 3. Count what confirms each return.
+    // 3. Count the confirmations of each return.
     for_ranges(ring.size, count_parts(ring.size, PART), [&](std::size_t, std::size_t begin, std::size_t end) {
         for (std::size_t n = begin; n < end; ++n) {
             clutter[n] = column[n] >= 0 && squared_m2[n] >= 0.0f &&
-                         count_confirmations(nearest_m2, ring[n], column[n], squared_m2[n]) < least[bin[n]];
+                         count_confirmations(nearest_m2, ring[n], column[n], squared_m2[n]) < required[bin[n]];
         }
     });
 }

@@ -12,20 +12,20 @@
 namespace viewshed {
 namespace {
 
-// Share of the near ground (or of the area seen) that must lie on a plane before it is believed about the tilt, or this share
-// of the returns within ON_PLANE_M of one height: far walls outweigh the ground below a sensor that looks down beside them.
+// Trust a plane about the tilt if this share of the near ground (or of the seen area) lies on it, or this share of the
+// returns within ON_PLANE_M of one height: far walls outweigh the ground below a sensor that looks down.
 constexpr double TILT_SUPPORT = 0.35, TILT_RETURNS = 0.5;
 constexpr float ON_PLANE_M = 0.2f;
 
-// Returns that show a plane steeper than the ground's.
+// Number of returns sampled to fit a steep plane.
 constexpr std::size_t TILT_SAMPLE = 2500;
 
-// Least height of a sensor above the ground that was estimated.
-constexpr double LEAST_HEIGHT_M = 0.05;
+// Lower bound of an estimated sensor height.
+constexpr double MIN_ESTIMATED_HEIGHT_M = 0.05;
 
-// The lattice: nodes a side where it is large or small; nodes and deviation of level ground where none is seen.
+// Lattice nodes a side for a large and a small extent; nodes and standard deviation of assumed ground.
 constexpr double LARGE_M = 32.0;
-constexpr std::size_t NODES_OF_LARGE = 128, NODES_OF_SMALL = 64, NODES_OF_FLAT = 64;
+constexpr std::size_t LARGE_NODES = 128, SMALL_NODES = 64, FLAT_NODES = 64;
 constexpr float UNSEEN_STD_M = 1.0f;
 
 constexpr Rotation UPRIGHT{1, 0, 0, 0, 1, 0, 0, 0, 1};
@@ -43,35 +43,36 @@ std::array<float, 9> in_float(const Rotation& rotation) {
     return turn;
 }
 
-// The largest share of heights (n,) below the sensor that lie within ON_PLANE_M of each other.
+// Return the largest share of heights (n,) that lie below the sensor and within ON_PLANE_M of each other.
 double share_at_one_height(const std::vector<float>& heights_m) {
     std::vector<float> low;
-    std::copy_if(heights_m.begin(), heights_m.end(), std::back_inserter(low), [](float z) { return z < -float(LEAST_HEIGHT_M); });
+    std::copy_if(heights_m.begin(), heights_m.end(), std::back_inserter(low),
+                 [](float z) { return z < -float(MIN_ESTIMATED_HEIGHT_M); });
     std::sort(low.begin(), low.end());
-    std::ptrdiff_t together = 0;
+    std::ptrdiff_t max_count = 0;
     for (auto from = low.begin(); from != low.end(); ++from) {
-        together = std::max(together, std::lower_bound(from, low.end(), *from + ON_PLANE_M) - from);
+        max_count = std::max(max_count, std::lower_bound(from, low.end(), *from + ON_PLANE_M) - from);
     }
-    return double(together) / double(std::max<std::size_t>(heights_m.size(), 1));
+    return double(max_count) / double(std::max<std::size_t>(heights_m.size(), 1));
 }
 
-// The ground's normal in the sensor's frame where the sensor is clearly tilted; none where it is not.
+// Return the ground normal in the sensor's frame if the sensor is clearly tilted.
 std::optional<Vector> tilted_normal(View2<const float> points, float far_m, const GroundMap& ground) {
     Vector normal{-ground.plane[0], -ground.plane[1], 1.0};
     if (ground.support < TILT_SUPPORT) {
-        // Too few near nodes lie on that plane: look for a steeper one, up to 60°, through some of the returns in range.
+        // Too few near nodes lie on that plane: fit a steeper one, up to 60°, to a sample of the returns in range.
         const std::size_t step = std::max<std::size_t>(points.rows / TILT_SAMPLE, 1);
-        std::vector<float> some;
+        std::vector<float> sample;
         for (std::size_t n = 0; n < points.rows; n += step) {
             const float* p = points[n];
-            if (p[0] * p[0] + p[1] * p[1] + p[2] * p[2] <= far_m * far_m) some.insert(some.end(), p, p + 3);
+            if (p[0] * p[0] + p[1] * p[1] + p[2] * p[2] <= far_m * far_m) sample.insert(sample.end(), p, p + 3);
         }
-        const std::size_t count = some.size() / 3;
-        const FreePlane steep = free_plane({some.data(), count, 3});
+        const std::size_t count = sample.size() / 3;
+        const FreePlane steep = free_plane({sample.data(), count, 3});
         if (steep.support < TILT_SUPPORT) {
             std::vector<float> heights_m(count);
             for (std::size_t k = 0; k < count; ++k) {
-                const float* p = &some[3 * k];
+                const float* p = &sample[3 * k];
                 heights_m[k] = p[0] * steep.normal[0] + p[1] * steep.normal[1] + p[2] * steep.normal[2];
             }
             if (share_at_one_height(heights_m) < TILT_RETURNS) return std::nullopt;
@@ -83,7 +84,7 @@ std::optional<Vector> tilted_normal(View2<const float> points, float far_m, cons
     return normal;
 }
 
-// The rotation that takes a normal to z and keeps the heading of x.
+// Return the rotation that maps a normal to z and keeps the heading of x.
 Rotation upright(const Vector& n) {
     const Vector f = unit({1.0 - n[0] * n[0], -n[0] * n[1], -n[0] * n[2]});
     return {f[0], f[1], f[2],
@@ -91,10 +92,10 @@ Rotation upright(const Vector& n) {
             n[0], n[1], n[2]};
 }
 
-// The ground below the returns, z from the sensor; isolated ones (N,) do not count.
+// Estimate the ground below the returns, z relative to the sensor; isolated returns (N,) are ignored.
 GroundMap walked_ground(const UnleveledSweep& sweep, View1<const bool> isolated, const Rotation& rotation, double heading) {
     const double half_m = sweep.half_extent_m;
-    const std::size_t n = half_m > LARGE_M ? NODES_OF_LARGE : NODES_OF_SMALL;
+    const std::size_t n = half_m > LARGE_M ? LARGE_NODES : SMALL_NODES;
     require_lattice(n, half_m);
     const std::array<float, 9> turn = in_float(rotation);
     const auto lattice = lattice_of(n, half_m);
@@ -103,7 +104,7 @@ GroundMap walked_ground(const UnleveledSweep& sweep, View1<const bool> isolated,
     FoundGround found =
         estimate_ground(*lattice, lows, sweep.height_m.value_or(std::numeric_limits<double>::quiet_NaN()));
     if (!std::isnan(found.level_m)) {  // the ground is not seen
-        const std::size_t nodes = NODES_OF_FLAT, size = nodes * nodes;
+        const std::size_t nodes = FLAT_NODES, size = nodes * nodes;
         return {nodes, half_m, Buffer<float>(size, float(found.level_m)), Buffer<float>(size, UNSEEN_STD_M),
                 Buffer<bool>(size, false), {0.0, 0.0, found.level_m}, 0.0};
     }
@@ -124,34 +125,35 @@ float GroundMap::at(float x_m, float y_m) const {
 
 SweepLevel level_sweep(const UnleveledSweep& sweep) {
     const std::size_t count = sweep.points.rows;
-    // 1. Range image: isolated returns say nothing of the ground, clutter is left out altogether.
+    // 1. Range image. Isolated returns are ignored for the ground; clutter is dropped entirely.
     std::optional<RangeImage> image;
     if (sweep.ring && count > 0) {
         image = range_image(sweep.points, *sweep.ring, sweep.columns, sweep.rings, sweep.near_m, sweep.far_m);
     }
     const Buffer<bool> none(image ? 0 : count, false);
     const View1<const bool> isolated = image ? View1<const bool>(image->isolated) : View1<const bool>(none);
-    // 2. Attitude and ground, in the sensor's frame. Where nothing says how the sensor is tilted, a steep ground plane does; the
-    //    ground is then found again, upright.
+    // 2. Attitude and ground in the sensor's frame. With an unknown attitude, a steep ground plane gives the tilt, and
+    // the
+    //    ground is estimated again in the upright frame.
     Rotation rotation = sweep.attitude.value_or(UPRIGHT);
     double heading = 0.0;
-    const auto find = [&] {
+    const auto estimate = [&] {
         const std::array<float, 9> turn = in_float(rotation);
         heading = sweep.yaw ? *sweep.yaw : vehicle_heading(sweep.points, {turn.data(), 3, 3});
         return walked_ground(sweep, isolated, rotation, heading);
     };
-    GroundMap ground = find();
+    GroundMap ground = estimate();
     if (!sweep.attitude) {
         if (const auto normal = tilted_normal(sweep.points, sweep.far_m, ground)) {
             rotation = upright(*normal);
-            ground = find();
+            ground = estimate();
         }
     }
-    // 3. Raise both until the ground below the sensor is at z = 0.
-    const double height_m = sweep.height_m ? *sweep.height_m : std::max(-double(ground.at(0.0f, 0.0f)), LEAST_HEIGHT_M);
+    // 3. Shift ground and plane so that the ground below the sensor is at z = 0.
+    const double height_m = sweep.height_m ? *sweep.height_m : std::max(-double(ground.at(0.0f, 0.0f)), MIN_ESTIMATED_HEIGHT_M);
     for (float& z : ground.heights_m) z += float(height_m);
     ground.plane[2] += height_m;
-    // 4. Level points, with their range, azimuth and height above the ground.
+    // 4. Level the points, with range, azimuth and height above the ground.
     const std::array<float, 9> t = in_float(rotation);
     const float transform[12] = {t[0], t[1], t[2], 0.0f, t[3], t[4], t[5], 0.0f, t[6], t[7], t[8], float(height_m)};
     const View1<const bool> clutter = image && image->clutter ? View1<const bool>(*image->clutter) : View1<const bool>{nullptr, 0};

@@ -1,4 +1,4 @@
-// A sweep leveled: its range image, attitude, ground, and points above it; viewshed.preprocess.leveling says how.
+// Level a sweep: range image, attitude, ground and points above it, as documented in viewshed.preprocess.leveling.
 #pragma once
 
 #include <array>
@@ -11,16 +11,16 @@
 
 namespace viewshed {
 
-// A ground plane steeper than this is taken as the sensor's tilt where the attitude is not known.
+// With an unknown attitude, a ground plane steeper than this is taken as the sensor's tilt.
 constexpr double LEVEL_TILT = 6.0 * std::numbers::pi / 180.0;
 
-// A height that was estimated from a plane with a smaller share of the near ground on it is doubtful.
+// Smallest share of the near ground on the fitted plane for which the estimated sensor height is trusted.
 constexpr double LEAST_SUPPORT = 0.4;
 
 // Rows of a rotation (3, 3).
 using Rotation = std::array<double, 9>;
 
-// The ground about the sensor on a lattice (n, n); viewshed.fov.height_map.HeightMap says what each is.
+// Ground around the sensor on a lattice (n, n); the fields are documented in viewshed.fov.height_map.HeightMap.
 struct GroundMap {
     std::size_t nodes;
     double half_m;
@@ -30,32 +30,31 @@ struct GroundMap {
     double support;
 
     Ground view() const { return {{heights_m.data(), nodes, nodes}, float(half_m)}; }
-    // The height below a place in meters.
+    // Ground height in meters at (x, y).
     float at(float x_m, float y_m) const;
 };
 
-// What is known of a sweep before it is leveled.
+// Inputs of leveling.
 struct UnleveledSweep {
     View2<const float> points;                      // (N, 3) in the sensor's frame
-    std::optional<View1<const std::int16_t>> ring;  // (N,) in [-1, rings), where the rings are known
+    std::optional<View1<const std::int16_t>> ring;  // (N,) in [-1, rings), if known
     std::size_t rings, columns;                     // of the range image
     float near_m, far_m;                            // returns outside do not count
     std::optional<Rotation> attitude;               // from the sensor to level
-    std::optional<double> height_m, yaw;            // of the sensor above the ground, of the own vehicle
-    double half_extent_m;                           // of the ground that is wanted
+    std::optional<double> height_m, yaw;            // sensor height above the ground, yaw of the own vehicle
+    double half_extent_m;                           // of the requested ground
 };
 
 // A sweep in its level frame.
 struct SweepLevel {
-    std::optional<RangeImage> image;  // where the rings are known
+    std::optional<RangeImage> image;  // if rings are known
     Rotation rotation;                // from the sensor to level
     double height_m;                  // of the sensor above the ground below it
     GroundMap ground;                 // z from the ground below the sensor
     LevelPoints level;
 };
 
-// Level a sweep: the attitude is the known one, else upright unless the ground is clearly tilted; the height is the known one,
-// else that above the ground.
+// Level a sweep. Unknown attitude: upright unless the ground is clearly tilted; unknown height: from the ground.
 SweepLevel level_sweep(const UnleveledSweep& sweep);
 
 }  // namespace viewshed

@@ -13,14 +13,13 @@
 namespace viewshed {
 namespace {
 
-// Slopes are measured from this range on.
+// Lower bound of the range in slopes.
 constexpr float LEAST_RANGE_M = 1e-3f;
 
-// Points of a part that is worth a thread.
+// Fewest points for which a part pays for its thread.
 constexpr std::size_t PART = 16384;
 
-// Which returns count: squared limits of range, and the box of the vehicle below, turned by its heading; 0 long if the
-// sensor stands on none.
+// Limits of kept returns: squared ranges; half size (0 without a vehicle) and heading of the vehicle's box.
 struct Limits {
     float near2, far2, ego_length_m, ego_width_m, cos, sin;
 };
@@ -30,7 +29,7 @@ struct Block {
     float x[BLOCK], y[BLOCK], z[BLOCK];
 };
 
-// Mark the points of a block in range and outside the vehicle below; return how many there are.
+// Mark the points of a block that are in range and outside the vehicle; return their number.
 MULTIVERSION int mark_kept(const float* points, const bool* clutter, std::size_t count, const float* transform,
                            const Limits& limits, std::uint8_t* kept) {
     const Limits l = limits;
@@ -51,10 +50,10 @@ MULTIVERSION int mark_kept(const float* points, const bool* clutter, std::size_t
     return number;
 }
 
-// Gather the points of a block that are kept, and their rows.
+// Gather the kept points of a block, and their rows.
 void gather_kept(const float* points, const std::uint8_t* kept, std::size_t count, std::size_t start, Block& block,
                  std::int32_t* rows) {
-    // Close the gaps: each point is written to where the next kept one belongs.
+    // Compact without branches: each index is written where the next kept one belongs.
     std::size_t m = 0;
     std::int32_t at[BLOCK];
     for (std::size_t k = 0; k < count; ++k) {
@@ -68,7 +67,7 @@ void gather_kept(const float* points, const std::uint8_t* kept, std::size_t coun
     }
 }
 
-// Take the points of a block where all are kept.
+// Copy a block in which all points are kept.
 MULTIVERSION void take_all(const float* points, std::size_t count, std::size_t start, Block& block,
                            std::int32_t* rows) {
     for (std::size_t k = 0; k < count; ++k) {
@@ -77,10 +76,10 @@ MULTIVERSION void take_all(const float* points, std::size_t count, std::size_t s
     }
 }
 
-// Turn and raise the points of a block, and write them with range, azimuth and height above the ground.
+// Transform the points of a block, and write them with range, azimuth and height above the ground.
 MULTIVERSION void measure_block(Block& block, std::size_t count, const float* transform, const Ground& ground,
                                 float* points, float* range_m, float* azimuth, float* height_m) {
-    // A copy of the numbers: the compiler cannot know that the loops do not write them.
+    // Copy the transform: the compiler cannot know that the loops do not write it.
     std::array<float, 12> t;
     std::copy_n(transform, 12, t.begin());
     for (std::size_t k = 0; k < count; ++k) {
@@ -97,7 +96,7 @@ MULTIVERSION void measure_block(Block& block, std::size_t count, const float* tr
         range_m[k] = std::sqrt(x * x + y * y);
         azimuth[k] = azimuth_of(y, x);
     }
-    // Positions on the ground's lattice come first: a loop that looks up does not vectorize as well.
+    // Lattice positions come first: a loop with look-ups does not vectorize as well.
     const auto n = std::int32_t(ground.heights_m.rows);
     const float half_m = ground.half_extent_m, last = float(n - 1.001);
     const float nodes_per_m = float(n / (2.0 * double(half_m)));
@@ -119,7 +118,7 @@ MULTIVERSION void measure_block(Block& block, std::size_t count, const float* tr
     }
 }
 
-// Write the cell (cells · cells) of each point between two heights above the ground, and one past the last for others.
+// Write the cell of each point within the height limits above the ground, cells · cells for others.
 MULTIVERSION void find_cells(const float* points, const float* height_m, std::size_t count, float x0_m, float y0_m,
                              float cells_per_m, float low_m, float high_m, std::int32_t cells, std::int32_t* cell) {
     for (std::size_t k = 0; k < count; ++k) {
@@ -131,7 +130,7 @@ MULTIVERSION void find_cells(const float* points, const float* height_m, std::si
     }
 }
 
-// Write the rise over range of a block of level points.
+// Write the slopes of a block of level points.
 MULTIVERSION void slopes_of_block(const float* points, const float* range_m, std::size_t count, float sensor_height_m,
                                   float* slope) {
     for (std::size_t k = 0; k < count; ++k) {
@@ -155,7 +154,7 @@ LevelPoints level_points(View2<const float> points, View1<const bool> clutter, V
                         float(std::sin(heading))};
     const std::size_t parts = std::min(count_parts(count, PART), std::max<std::size_t>(blocks, 1));
 
-    // 1. Which points count, and how many in each block: then each block knows where its first one goes.
+    // 1. Mark the kept points and count them by block, so that each block knows its first output index.
     Buffer<std::uint8_t> kept(count);
     std::vector<std::size_t> first(blocks + 1, 0);
     for_ranges(blocks, parts, [&](std::size_t, std::size_t begin, std::size_t end) {
@@ -167,7 +166,7 @@ LevelPoints level_points(View2<const float> points, View1<const bool> clutter, V
     });
     for (std::size_t b = 0; b < blocks; ++b) first[b + 1] += first[b];
 
-    // 2. Level and measure them, block by block.
+    // 2. Level and measure the kept points, block by block.
     const std::size_t room = first[blocks];
     LevelPoints level{room, Buffer<float>(3 * room), Buffer<float>(room), Buffer<float>(room), Buffer<float>(room),
                       Buffer<std::int32_t>(room)};

@@ -13,19 +13,19 @@ namespace {
 
 constexpr float NONE = std::numeric_limits<float>::infinity();
 
-// Points of a part that is worth a thread.
+// Fewest points for which a part pays for its thread.
 constexpr std::size_t PART = 16384;
 
-// The rule that all points are tested by.
+// Parameters of the test for candidates.
 struct Rule {
     float rotation[9];
     float near2, far2, half_m, nodes_per_m, cosine, sine;
     std::int32_t side;
 };
 
-// Write the node of each point of a block (-1 where it is no candidate for ground) and its z. Candidates lie in the lattice
-// and in range, and are not hood or roof of the vehicle below the sensor. Without branches, so that it becomes vectors.
-MULTIVERSION void place_block(const float* points, const std::uint8_t* isolated, std::size_t count, const Rule& rule,
+// Write the node and z of each point of a block; -1 for points that are no candidates for ground: outside the lattice
+// or the range limits, isolated, or on hood or roof of the vehicle. Branch-free, so that it vectorizes.
+MULTIVERSION void candidates_of_block(const float* points, const std::uint8_t* isolated, std::size_t count, const Rule& rule,
                               std::int32_t* nodes, float* heights) {
     const float xx = rule.rotation[0], xy = rule.rotation[1], xz = rule.rotation[2];
     const float yx = rule.rotation[3], yy = rule.rotation[4], yz = rule.rotation[5];
@@ -58,7 +58,7 @@ MULTIVERSION void place_block(const float* points, const std::uint8_t* isolated,
     }
 }
 
-// The two lowest heights of a node, and the greatest.
+// The two lowest heights of a node, and the highest.
 struct Heights {
     float lowest = NONE, second = NONE, highest = -NONE;
 };
@@ -69,19 +69,19 @@ struct Lowest {
     std::int32_t point[2] = {0, 0};
 };
 
-// Whether point k of height z is lower than the other one; among equals x and y decide, so that the order does not.
+// Check if point k with height z is lower than the other; ties are broken by x and y, not by order.
 INLINE bool is_before(View2<const float> points, std::size_t k, float z, std::int32_t other, float low) {
     if (z != low) return z < low;
     if (points(k, 0) != points(std::size_t(other), 0)) return points(k, 0) < points(std::size_t(other), 0);
     return points(k, 1) < points(std::size_t(other), 1);
 }
 
-// Find the heights of the nodes from `first` on. Points beside each other lie in the same node, and each would wait for the one
-// before; so points of four places of the sweep are taken by turns.
+// Find the heights of the nodes from `first` on. Adjacent points fall into the same node and would wait for each other,
+// so points from four places of the sweep are interleaved.
 void find_heights(View1<const std::int32_t> node, const float* height, std::size_t first, View1<Heights> heights) {
     constexpr std::size_t PLACES = 4;
     const auto add = [&](std::size_t k) {
-        const std::size_t own = std::size_t(std::uint32_t(node[k])) - first;  // huge for -1 and for others' nodes
+        const std::size_t own = std::size_t(std::uint32_t(node[k])) - first;  // wraps to a huge value for -1 and for nodes of other parts
         if (own >= heights.size) return;
         Heights& here = heights[own];
         here.second = std::min(here.second, std::max(here.lowest, height[k]));
@@ -117,19 +117,19 @@ Lows lowest_returns(View2<const float> points, View1<const bool> isolated, View2
               float(std::sin(heading)), std::int32_t(nodes)};
     std::copy_n(rotation.data, 9, rule.rotation);
 
-    // 1. The node and the z of each point.
+    // 1. Compute the node and z of each point.
     const std::size_t parts = count_parts(count, PART);
     Buffer<std::int32_t> node(count);
     Buffer<float> height(count);
-    const auto* left_out = reinterpret_cast<const std::uint8_t*>(isolated.data);  // bytes become vectors, bools do not
+    const auto* left_out = reinterpret_cast<const std::uint8_t*>(isolated.data);  // bytes vectorize, bools do not
     for_ranges(count, parts, [&](std::size_t, std::size_t begin, std::size_t end) {
         for (std::size_t start = begin; start < end; start += BLOCK) {
-            place_block(points[start], left_out + start, std::min(BLOCK, end - start), rule, &node[start], &height[start]);
+            const std::size_t size = std::min(BLOCK, end - start);
+            candidates_of_block(points[start], left_out + start, size, rule, &node[start], &height[start]);
         }
     });
 
-    // 2. The lowest heights of each node, and then the points that they are of: few points are as low. A part takes its own
-    //    nodes out of all points.
+    // 2. Find the lowest heights of each node, then their (few) points. Each part handles its own nodes.
     Lows lows(nodes);
     for_ranges(nodes * nodes, parts, [&](std::size_t, std::size_t begin, std::size_t end) {
         Buffer<Heights> heights(end - begin, Heights{});
@@ -152,13 +152,13 @@ Lows lowest_returns(View2<const float> points, View1<const bool> isolated, View2
             lows.rise_m[at] = heights[at - begin].highest - here.height[rank];
         }
     });
-    lows.some.resize(nodes * nodes);
-    std::size_t some = 0;
+    lows.occupied.resize(nodes * nodes);
+    std::size_t count_occupied = 0;
     for (std::size_t at = 0; at < nodes * nodes; ++at) {
-        lows.some[some] = std::int32_t(at);
-        some += lows.z_m[at] < NONE;
+        lows.occupied[count_occupied] = std::int32_t(at);
+        count_occupied += lows.z_m[at] < NONE;
     }
-    lows.some.resize(some);
+    lows.occupied.resize(count_occupied);
     return lows;
 }
 

@@ -6,7 +6,7 @@
 namespace viewshed {
 namespace {
 
-// True cells that follow one another in a row: [begin, end).
+// Consecutive true cells of a row: [begin, end).
 struct Run {
     std::size_t row, begin, end;
 };
@@ -24,7 +24,7 @@ void label_regions(View2<const bool> mask, bool diagonal, View2<std::int32_t> la
     std::vector<std::size_t> parent;
     std::size_t above = 0;  // the first run of the row before
     for (std::size_t i = 0; i < mask.rows; ++i) {
-        // 1. The runs of a row.
+        // 1. Find the runs of a row.
         const bool *row = mask[i], *end = row + mask.columns;
         const std::size_t first = runs.size();
         for (const bool* at = std::find(row, end, true); at != end; at = std::find(at, end, true)) {
@@ -33,7 +33,7 @@ void label_regions(View2<const bool> mask, bool diagonal, View2<std::int32_t> la
             runs.push_back({i, std::size_t(at - row), std::size_t(stop - row)});
             at = stop;
         }
-        // 2. Each joins the runs above that it touches; a root is the first run of its region.
+        // 2. Join each run with the runs above that it touches; the root is the first run of its region.
         for (std::size_t k = first, m = above; k < runs.size() && m < first;) {
             if (runs[m].begin < runs[k].end + reach && runs[k].begin < runs[m].end + reach) {
                 const std::size_t a = root_of(parent, k), b = root_of(parent, m);
@@ -43,7 +43,7 @@ void label_regions(View2<const bool> mask, bool diagonal, View2<std::int32_t> la
         }
         above = first;
     }
-    // 3. Number the roots in their order.
+    // 3. Number the roots in order.
     std::vector<std::int32_t> number(runs.size(), 0);
     std::int32_t regions = 0;
     std::fill_n(labels.data, labels.size(), 0);
@@ -56,7 +56,7 @@ void label_regions(View2<const bool> mask, bool diagonal, View2<std::int32_t> la
 
 void find_squared_depth(View2<const bool> mask, View2<std::int64_t> depth) {
     const auto rows = std::int64_t(mask.rows), columns = std::int64_t(mask.columns);
-    // 1. Along columns: the nearest false cell above, then the nearer one of it and that below.
+    // 1. Along columns: distance to the nearest false cell above or below.
     std::vector<std::int64_t> along(mask.size());
     for (std::size_t j = 0; j < mask.columns; ++j) {
         for (std::int64_t i = 0, last = -1; i < rows; ++i) {
@@ -69,8 +69,7 @@ void find_squared_depth(View2<const bool> mask, View2<std::int64_t> depth) {
             nearest = std::min(nearest, next - i);
         }
     }
-    // 2. Across: the least of the parabolas about each column, by the columns at which one undercuts the one before (Meijster
-    //    et al. 2000). The columns beyond either border are false.
+    // 2. Across columns: lower envelope of parabolas (Meijster et al. 2000); columns beyond the border are false.
     const std::int64_t wide = columns + 2;
     std::vector<std::int64_t> square(std::size_t(wide), 0), about(std::size_t(wide), 0), from(std::size_t(wide), 0);
     const auto parabola = [&](std::int64_t j, std::int64_t k) { return (j - k) * (j - k) + square[std::size_t(k)]; };

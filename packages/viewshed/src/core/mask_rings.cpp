@@ -7,13 +7,13 @@
 namespace viewshed {
 namespace {
 
-// Headings 0…3 are +i, +j, -i, -j; the mask lies on the left.
+// Headings 0…3 are +i, +j, -i, -j; the mask is on the left.
 constexpr int STEP_I[4] = {1, 0, -1, 0}, STEP_J[4] = {0, 1, 0, -1};
-// The cell ahead on the left, on the right, and on the left behind, from the corner where an edge ends or begins.
+// Offsets of the cells ahead on the left and on the right of a corner.
 constexpr int AHEAD_I[4] = {0, -1, -1, 0}, AHEAD_J[4] = {0, 0, -1, -1};
 constexpr int RIGHT_I[4] = {0, 0, -1, -1}, RIGHT_J[4] = {-1, 0, 0, -1};
 
-// A mask in a border of false cells.
+// A mask with a border of false cells.
 class Cells {
 public:
     explicit Cells(View2<const bool> mask) : mask_(mask) {}
@@ -29,13 +29,13 @@ struct Corner {
     int i, j, heading;
 };
 
-// Whether an edge along +i begins, after a turn, at a corner.
+// Check if an edge along +i starts at a corner.
 bool begins(const Cells& cells, int i, int j) {
     const bool here = cells(i, j) && !cells(i, j - 1), before = cells(i - 1, j) && !cells(i - 1, j - 1);
     return here && !before;
 }
 
-// The corner where the edge ends that leaves a corner by its heading, and the next heading.
+// Follow an edge to its end; return that corner and the next heading.
 Corner next_corner(const Cells& cells, Corner at) {
     while (true) {
         at.i += STEP_I[at.heading];
@@ -45,7 +45,7 @@ Corner next_corner(const Cells& cells, Corner at) {
     }
 }
 
-// The region of the cell left of a loop's first edge, negative where the loop runs clockwise.
+// Return the region of the cell left of a loop's first edge, negated if the loop is clockwise.
 std::int32_t signed_region(const Corner* begin, const Corner* end, View2<const std::int32_t> regions) {
     std::int64_t doubled_area = 0;
     for (const Corner* k = begin; k != end; ++k) {
@@ -67,18 +67,18 @@ MaskRings trace_rings(View2<const bool> mask, View2<const std::int32_t> regions)
     const int side = int(mask.rows), width = side + 1;
     MaskRings rings;
     std::vector<bool> is_done(std::size_t(width) * width);
-    std::vector<std::int32_t> met(std::size_t(width) * width, -1);  // where on the stack a corner is
+    std::vector<std::int32_t> met(std::size_t(width) * width, -1);  // stack index of each corner
     std::vector<Corner> stack;
     const auto place = [&](int i, int j) { return std::size_t(i) * std::size_t(width) + std::size_t(j); };
     for (int i0 = 0; i0 < side; ++i0) {
         for (int j0 = 0; j0 < side; ++j0) {
             if (is_done[place(i0, j0)] || !begins(cells, i0, j0)) continue;
-            // Walk along the cells' edges and turn left first, so that diagonal cells stay apart.
+            // Walk along the cell edges and prefer left turns, so that diagonal cells stay separate.
             Corner at{i0, j0, 0};
             while (true) {
                 const std::int32_t before = met[place(at.i, at.j)];
                 if (before >= 0) {
-                    // The walk meets its own corner again: cut a loop off.
+                    // The walk returns to one of its corners: split off a loop.
                     rings.begin.push_back(std::int64_t(rings.corners.size() / 2));
                     rings.region.push_back(signed_region(&stack[std::size_t(before)], stack.data() + stack.size(), regions));
                     for (std::size_t k = std::size_t(before); k < stack.size(); ++k) {
@@ -105,7 +105,7 @@ void fill_closed_rings(const ClosedRings& rings, View2<bool> inside) {
     std::fill_n(inside.data, inside.size(), false);
     for (std::size_t r = 0; r + 1 < rings.begin.size; ++r) {
         for (auto k = std::size_t(rings.begin[r]); k + 1 < std::size_t(rings.begin[r + 1]); ++k) {
-            // In units of centers: flip the first center at or beyond the crossing of each row of them.
+            // Relative to cell centers: toggle the first center at or beyond each crossing.
             const double x0 = rings.points(k, 0) - 0.5, y0 = rings.points(k, 1) - 0.5;
             const double x1 = rings.points(k + 1, 0) - 0.5, y1 = rings.points(k + 1, 1) - 0.5;
             const std::size_t end = cut(std::ceil(std::max(x0, x1)), cells);

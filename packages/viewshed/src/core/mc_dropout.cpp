@@ -9,11 +9,11 @@
 namespace viewshed {
 namespace {
 
-// Values of a part that is worth a thread.
+// Fewest values for which a part pays for its thread.
 constexpr std::size_t PART = 65536;
 
-// Moments of a block of cells, `stride` values a pass. Sums are of the differences to the first pass, which are small:
-// squares of the values would cancel in float32. Both stay in the nearest memory while the passes stream by.
+// Compute the moments of a block of cells, with passes `stride` apart. Sums are of differences to the first pass, since
+// squares of the values would cancel in float32. Both sums stay in the L1 cache while the passes stream by.
 MULTIVERSION void find_block_moments(const float* values, std::size_t passes, std::size_t stride, std::size_t count,
                                      float* mean, float* deviation) {
     float total[BLOCK], squares[BLOCK];

@@ -13,20 +13,20 @@
 namespace viewshed {
 namespace {
 
-// Before each block stands its size class; the block itself begins at a multiple of this.
+// Alignment of blocks; each is preceded by its size class.
 constexpr std::size_t ALIGNMENT = 64;
 
-// Classes of sizes, four to each power of two from 64 bytes on. Larger blocks go back to the system, and so do those smaller
-// than a page; of the others at most MOST_KEPT bytes are kept.
+// Size classes, four per power of two from 64 bytes on. Larger blocks go back to the system, and so do blocks below a
+// page (MIN_KEPT_SIZE); at most MAX_KEPT_BYTES bytes of the others are kept.
 constexpr std::size_t CLASSES = 4 * 20;
-constexpr std::size_t LEAST_KEPT = std::size_t{1} << 12, MOST_KEPT = std::size_t{64} << 20;
+constexpr std::size_t MIN_KEPT_SIZE = std::size_t{1} << 12, MAX_KEPT_BYTES = std::size_t{64} << 20;
 
 constexpr std::size_t size_of_class(std::size_t number) {
     const std::size_t power = std::size_t{ALIGNMENT} << (number / 4);
     return (power + power / 4 * (number % 4) + ALIGNMENT - 1) / ALIGNMENT * ALIGNMENT;
 }
 
-// The first class that holds this number of bytes; CLASSES where none does.
+// Return the first class that holds this number of bytes; CLASSES if none does.
 std::size_t class_of_size(std::size_t bytes) {
     if (bytes <= ALIGNMENT) return 0;
     const auto log2 = std::size_t(std::bit_width(bytes - 1)) - 1;
@@ -36,19 +36,20 @@ std::size_t class_of_size(std::size_t bytes) {
     return CLASSES;
 }
 
-struct Kept {
+struct Pool {
     std::mutex mutex;
     std::array<std::vector<void*>, CLASSES> blocks;
     std::size_t bytes = 0;
 };
 
-[[maybe_unused]] Kept& kept() {
-    static Kept* const all = [] {
-        // A process that forks holds the lock meanwhile: its child finds the lists whole, and the lock free.
-        pthread_atfork([] { kept().mutex.lock(); }, [] { kept().mutex.unlock(); }, [] { kept().mutex.unlock(); });
-        return new Kept;  // arrays may outlive every destructor
+[[maybe_unused]] Pool& process_pool() {
+    static Pool* const pool = [] {
+        // Hold the lock during a fork: the child finds the lists consistent and the lock free.
+        const auto unlock = [] { process_pool().mutex.unlock(); };
+        pthread_atfork([] { process_pool().mutex.lock(); }, unlock, unlock);
+        return new Pool;  // never deleted: arrays may outlive every destructor
     }();
-    return *all;
+    return *pool;
 }
 
 }  // namespace
@@ -58,14 +59,14 @@ void* take_memory(std::size_t bytes) {
     const std::size_t number = class_of_size(bytes);
     const std::size_t size = number < CLASSES ? size_of_class(number) : (bytes + ALIGNMENT - 1) / ALIGNMENT * ALIGNMENT;
 #ifndef VIEWSHED_SANITIZE
-    if (size >= LEAST_KEPT && number < CLASSES) {
-        Kept& all = kept();
-        // Wait for the lock: a thread that asked the system instead would add a block to those that are kept each time.
-        std::lock_guard lock(all.mutex);
-        if (!all.blocks[number].empty()) {
-            void* block = all.blocks[number].back();
-            all.blocks[number].pop_back();
-            all.bytes -= size;
+    if (size >= MIN_KEPT_SIZE && number < CLASSES) {
+        Pool& pool = process_pool();
+        // Wait for the lock: if threads asked the system instead, each would add a block to those that are kept.
+        std::lock_guard lock(pool.mutex);
+        if (!pool.blocks[number].empty()) {
+            void* block = pool.blocks[number].back();
+            pool.blocks[number].pop_back();
+            pool.bytes -= size;
             return block;
         }
     }
@@ -81,16 +82,16 @@ void give_memory(void* taken) noexcept {
     void* begin = static_cast<char*>(taken) - ALIGNMENT;
 #ifndef VIEWSHED_SANITIZE
     const std::size_t number = *static_cast<std::size_t*>(begin);
-    if (number < CLASSES && size_of_class(number) >= LEAST_KEPT) {
+    if (number < CLASSES && size_of_class(number) >= MIN_KEPT_SIZE) {
         try {
-            Kept& all = kept();
-            std::lock_guard lock(all.mutex);
-            if (all.bytes + size_of_class(number) <= MOST_KEPT) {
-                all.blocks[number].push_back(taken);
-                all.bytes += size_of_class(number);
+            Pool& pool = process_pool();
+            std::lock_guard lock(pool.mutex);
+            if (pool.bytes + size_of_class(number) <= MAX_KEPT_BYTES) {
+                pool.blocks[number].push_back(taken);
+                pool.bytes += size_of_class(number);
                 return;
             }
-        } catch (...) {  // no room for the list: the block goes back
+        } catch (...) {  // no room in the list: free the block
         }
     }
 #endif

@@ -1,15 +1,14 @@
-// Memory that is used again: a sweep needs about what the one before needed, and fresh pages cost more than the work on
-// them.
+// Reusable memory: each sweep needs about as much as the one before, and fresh pages cost more than the work on them.
 #pragma once
 
 #include <cstddef>
 
 namespace viewshed {
 
-// At least this number of bytes, aligned for vectors, from any thread; bad_alloc where there are none.
+// Return at least this number of bytes, aligned for vectors, from any thread; throws bad_alloc.
 void* take_memory(std::size_t bytes);
 
-// Give back what was taken; some of it is kept for the next.
+// Return memory to the pool; some of it is kept for reuse.
 void give_memory(void* taken) noexcept;
 
 }  // namespace viewshed

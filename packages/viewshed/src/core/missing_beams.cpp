@@ -13,12 +13,12 @@ namespace {
 // Eight pixels with one return each.
 constexpr std::uint64_t ALL_ONE = 0x0101010101010101;
 
-// Finds the beams that a ring lacks, from those of its pixels that do not hold one return, by ascending column.
+// Finds the missing beams of a ring from the pixels that do not hold exactly one return, by ascending column.
 class Finder {
 public:
     Finder(View1<const std::uint8_t> counts, MissingBeams& beams)
         : beams_(beams), columns_(int(counts.size)), doubles_at_(-columns_) {
-        // What lies before the first column, and after the last one.
+        // Neighbors across the seam.
         for (int c = columns_ - 1; c >= 0 && last_return_ < 0; --c) last_return_ = counts[c] > 0 ? c : -1;
         for (int c = 0; c < columns_ && first_return_ < 0; ++c) first_return_ = counts[c] > 0 ? c : -1;
     }
@@ -27,7 +27,7 @@ public:
         if (c - doubles_at_ > JITTER_COLUMNS) doubles_ = 0;
         if (count > 0) {
             close_gap();
-            // A second return belongs to the last empty column if that is near, else to one that follows.
+            // A second return belongs to the last empty column if that is near, else to a following one.
             for (int k = 1; k < count; ++k) {
                 if (m_ > 0 && c - beams_.column[m_ - 1] <= JITTER_COLUMNS) {
                     --m_;
@@ -60,7 +60,7 @@ public:
     }
 
 private:
-    // All beams of a gap have the same return after them.
+    // All beams of a gap share the next return.
     INLINE void close_gap() {
         if (first_in_gap_ >= 0 && first_return_ >= 0) {
             const int after = last_empty_ + 1 < columns_ ? last_empty_ + 1 : columns_ + first_return_;
@@ -79,7 +79,7 @@ private:
 }  // namespace
 
 void find_missing(View1<const std::uint8_t> counts, MissingBeams& beams) {
-    // The pixels that do not hold one return: written down without a branch, but for eight full ones at once.
+    // List the pixels that do not hold one return, branch-free except for eight full pixels at once.
     const std::size_t columns = counts.size;
     Buffer<std::int32_t> others(columns + 1);
     std::size_t m = 0, c = 0;
@@ -100,7 +100,7 @@ void find_missing(View1<const std::uint8_t> counts, MissingBeams& beams) {
 }
 
 Turn::Turn(std::size_t columns) : cos(columns), sin(columns) {
-    // Coarse and fine angles alone are computed; those of each column follow by the angle sum.
+    // Compute coarse and fine angles only; each column follows by the angle sum identities.
     constexpr std::size_t FINE = 64;
     double fine_cos[FINE], fine_sin[FINE];
     const double step = 2 * std::numbers::pi / double(columns);

@@ -23,49 +23,48 @@ constexpr float NONE = std::numeric_limits<float>::infinity();
 
 typedef float Four __attribute__((vector_size(4 * sizeof(float))));
 
-// A gap is filled from returns in the same ring at most this many columns away.
+// Largest distance in columns of returns that fill a gap of their ring.
 constexpr int FILL_COLUMNS = 16;
 
-// The next return below or above in a column is at most this number of rings away.
+// Largest distance in rings of the next return below or above in a column.
 constexpr std::size_t NEIGHBOR_RINGS = 8;
 
-// The share of a bin of range starts from that of the bin before, as if PRIOR_BEAMS beams had shown it.
+// Weight in beams of the previous range bin's share as a prior.
 constexpr double PRIOR_BEAMS = 20;
 
-// Beyond some range lies only this share of the returns.
+// Share of the returns that may lie beyond the farthest range.
 constexpr double REACH_SHARE = 0.001;
 
-// Beams say nothing beyond this many times that range: the sweep does not show that its sensor sees farther.
-constexpr float SHOWN_TIMES = 1.5f;
+// Depths are limited to this multiple of the farthest range: the sweep shows no evidence that its sensor sees farther.
+constexpr float MAX_REACH_RATIO = 1.5f;
 
-// The beams of a gap are guessed in groups; a turn has about this many.
+// Approximate number of groups of missing beams per turn.
 constexpr std::size_t GROUPS = 256;
 
 // Columns of the pooled image.
 constexpr std::size_t POOLED = 128;
 
-// Logarithms (base 2) of meters: of nothing that is near, and the least one.
-constexpr float LOG_NONE = 8.0f, LOG_LEAST = -1.0f;
+// Range limits of log2 of meters; LOG_NONE also stands for a missing range.
+constexpr float LOG_NONE = 8.0f, LOG_MIN = -1.0f;
 
-// Pixels of a part that is worth a thread.
+// Fewest pixels for which a part pays for its thread.
 constexpr std::size_t PART = 8192;
 
-// Of the groups that go through the network at once, number after number: features, logarithms of the ranges of stops, and 1 where nothing explains them.
+// A batch of groups, feature by feature: features, log2 of candidate ranges, and 1 for unexplained groups.
 struct alignas(Lanes) GroupsAtOnce {
     float feature[FEATURES * AT_ONCE], stop[STOPS * AT_ONCE], unexplained[AT_ONCE];
 };
 
-// The network's numbers: MEAN and SCALE of the features, weights and bias of three layers. `tools/fit_no_return.py fit` writes
-// them.
+// Network parameters: MEAN and SCALE of features, weights and bias of three layers, by `tools/fit_no_return.py fit`.
 #include "no_return_network.inc"
 
-constexpr std::size_t MOST_UNITS = std::max(std::size(FIRST_BIAS), std::size(SECOND_BIAS));
+constexpr std::size_t MAX_UNITS = std::max(std::size(FIRST_BIAS), std::size(SECOND_BIAS));
 
-// Shares of the beams of a group that went farther than their early, likely and late depth.
+// Probabilities that a beam exceeds its early, likely and late depth.
 constexpr std::array<float, 3> SURVIVED{0.8f, 0.5f, 0.2f};
 
-// Outputs of the network: a logit for each stop, for a beam that nothing stops, and for one that something unseen stops;
-// the mean and log deviation of the logarithm of the range of that.
+// Outputs of the network: logits of each stop, of a free beam, and of an unseen stop; mean and log deviation of the
+// latter's log2 range.
 enum Output { FREE = STOPS, UNSEEN, UNSEEN_MEAN, UNSEEN_LOG_DEVIATION, OUTPUTS };
 
 static_assert(std::size(MEAN) == FEATURES && std::size(SCALE) == FEATURES && std::size(THIRD_BIAS) == OUTPUTS);
@@ -73,40 +72,40 @@ static_assert(std::size(FIRST) == FEATURES * std::size(FIRST_BIAS));
 static_assert(std::size(SECOND) == std::size(FIRST_BIAS) * std::size(SECOND_BIAS));
 static_assert(std::size(THIRD) == std::size(SECOND_BIAS) * OUTPUTS);
 
-// Fail safe: where at least this share of the ground returns, a beam without a return neither met it nor passed it, nor did
-// the beams above that one. What goes on is weighed less there, for the network has seen too few things that swallow light.
+// Fail-safe: if at least this share of the ground returns, a beam without a return neither met the ground nor passed
+// it, nor did the beams above. Stops farther away get less weight there: the network saw few absorbing objects.
 constexpr double EXPECTED_SHARE = 0.9;
-constexpr float NO_LOGIT = -1e9f;  // of what is not there
-constexpr float LOG_UNEXPLAINED_WEIGHT = -3.91202f;  // of a weight of .02
+constexpr float NO_LOGIT = -1e9f;  // of a missing stop
+constexpr float LOG_UNEXPLAINED_WEIGHT = -3.91202f;  // log of a weight of 0.02
 
-// A gap between two returns of a ring of similar range that is narrower than this lies on what the two lie on.
+// A gap between two returns of similar range (ratio SIMILAR) that is narrower than this lies on their common surface.
 constexpr float GAP_M = 1.5f, SIMILAR = 1.25f;
 
-// Equal parts of a Laplace distribution stand at these deviations.
+// Five quantiles of a Laplace distribution that stand for equal parts, in deviations.
 constexpr std::array<float, 5> LAPLACE{-1.609f, -0.511f, 0.0f, 0.511f, 1.609f};
 
 INLINE float log_m(float meters) {
     if (!(meters < NONE)) return LOG_NONE;
-    return std::clamp(log2_of(meters > 0.25f ? meters : 0.25f), LOG_LEAST, LOG_NONE);
+    return std::clamp(log2_of(meters > 0.25f ? meters : 0.25f), LOG_MIN, LOG_NONE);
 }
 
-// Some neighboring missing beams of a gap in one ring, and what stands around their middle.
+// A group of adjacent missing beams in one ring, and what surrounds its middle.
 struct Group {
     std::uint32_t first, count;   // beams
     std::int32_t column;          // of the middle
     float azimuth, slope;         // of the middle
     float near_m, far_m, bound_m, ground_m;
-    float near_turn, far_turn;    // radians to the nearer and farther return in the ring
+    float near_turn, far_turn;    // radians to the nearer and the farther return in the ring
     bool is_near_obstacle, is_far_obstacle;
-    bool is_unexplained;          // it should have returned from the ground, or stands above one that should have
+    bool is_unexplained;          // the ground should have returned it, or it lies above such a group
 };
 
-// The missing beams of all rings; those of ring r stand from r · columns on, by ascending column, and so do their groups.
+// Missing beams of all rings and their groups; those of ring r start at r · columns, by ascending column.
 struct Missing {
     Missing(std::size_t rings, std::size_t columns)
         : beams(rings, 0), groups(rings, 0), azimuth(rings * columns), slope(rings * columns), group(rings * columns) {}
 
-    Buffer<std::size_t> beams, groups;  // how many of each ring
+    Buffer<std::size_t> beams, groups;  // number in each ring
     Buffer<float> azimuth, slope;
     Buffer<Group> group;
 };
@@ -115,7 +114,7 @@ using Shares = std::array<double, SHARE_BINS>;
 
 std::size_t share_bin(float range_m) { return std::min(std::size_t(range_m / SHARE_BIN_M), SHARE_BINS - 1); }
 
-// How many rings, from the lowest and at least one, may have a beam below a slope in `level`.
+// Return the number of lowest rings (at least one) that may have a beam below a slope in `level`.
 std::size_t count_rings_below(double slope, const RingAims& aims) {
     const double tilt = std::acos(std::clamp(aims.rotation[8], -1.0, 1.0));
     std::size_t rings = aims.elevation.size;
@@ -123,7 +122,7 @@ std::size_t count_rings_below(double slope, const RingAims& aims) {
     return rings;
 }
 
-// The range beyond which lies REACH_SHARE of the returns.
+// Return the range beyond which a share REACH_SHARE of the returns lies.
 float farthest_of(const DepthImages& images) {
     std::int64_t all = 0, beyond = 0;
     for (const std::int64_t count : images.meter_counts) all += count;
@@ -135,7 +134,7 @@ float farthest_of(const DepthImages& images) {
     return float(meters);
 }
 
-// Write how many rings below each pixel (rings, columns) the next one with a return lies, 255 for more than that.
+// Write the distance in rings (rings, columns) to the next return below each pixel, 255 for none.
 MULTIVERSION void find_rings_below(const std::uint8_t* counts, std::size_t rings, std::size_t columns,
                                    std::uint8_t* rings_below) {
     std::fill_n(rings_below, columns, std::uint8_t(255));
@@ -149,7 +148,7 @@ MULTIVERSION void find_rings_below(const std::uint8_t* counts, std::size_t rings
     }
 }
 
-// The next ring above with a return in a column; -1 where there is none nearby.
+// Return the next ring above with a return in a column; -1 if none is near.
 int next_above(View2<const std::uint8_t> counts, std::size_t r, std::size_t c) {
     for (std::size_t p = r + 1; p < std::min(r + 1 + NEIGHBOR_RINGS, counts.rows); ++p) {
         if (counts(p, c) > 0) return int(p);
@@ -157,13 +156,13 @@ int next_above(View2<const std::uint8_t> counts, std::size_t r, std::size_t c) {
     return -1;
 }
 
-// The depths of a pixel. One whose returns are all left out (too near, on the own vehicle) ended at once.
+// Return the depths of a pixel. If all its returns are left out (too near, on the own vehicle), the beam ended at once.
 INLINE Depth depth_of(const DepthImages& images, std::size_t r, std::size_t c) {
     const Depth depth = images.ring(r)[c];
     return images.all_counts()(r, c) > 0 && !(depth.nearest_m < NONE) ? Depth{0.5f, NONE} : depth;
 }
 
-// The nearest obstacle among the two pixels beside a beam and the three above it.
+// Return the range of the nearest obstacle in the two pixels beside a beam and the three above it.
 float bound_of(const DepthImages& images, std::size_t r, std::int32_t c) {
     const Depth *ring = images.ring(r), *above = r + 1 < images.rings ? images.ring(r + 1) : nullptr;
     const auto columns = std::int32_t(images.columns);
@@ -175,12 +174,12 @@ float bound_of(const DepthImages& images, std::size_t r, std::int32_t c) {
     return nearest;
 }
 
-// Sums over windows of the image, pooled to POOLED columns: of pixels, of returns, of the logarithms of their ranges, and
-// of obstacles; by sums of all before. The farthest return of each pooled column.
+// Window sums over the image, pooled to POOLED columns, by cumulative sums: pixels, returns, log2 ranges, obstacles.
+// Also the farthest return of each pooled column.
 class PooledImage {
 public:
     PooledImage(const DepthImages& images, const Buffer<bool>& silent)
-        : rings(images.rings), before_((images.rings + 1) * (POOLED + 1)), farthest(POOLED, LOG_LEAST) {
+        : rings(images.rings), before_((images.rings + 1) * (POOLED + 1)), farthest(POOLED, LOG_MIN) {
         const std::size_t columns = images.columns;
         for (std::size_t c = 0; c <= POOLED; ++c) before_[c] = Four{};
         for (std::size_t r = 0; r < rings; ++r) {
@@ -204,8 +203,8 @@ public:
         }
     }
 
-    // Share of the pixels that returned, mean logarithm of their ranges, and share of the returns that are on obstacles, over
-    // rings [low, high) and `wide` pooled columns to either side of one.
+    // Write the share of pixels with returns, the mean log2 range, and the share of returns on obstacles, over rings
+    // [low, high) and `wide` pooled columns to either side.
     void describe(std::size_t low, std::size_t high, std::size_t column, std::size_t wide, float* out) const {
         const std::size_t first = column + POOLED - wide, last = column + POOLED + wide + 1;
         const Four sum = until(high, last) - until(high, first) - until(low, last) + until(low, first);
@@ -215,7 +214,7 @@ public:
     }
 
     float farthest_around(std::size_t column, std::size_t wide) const {
-        float most = LOG_LEAST;
+        float most = LOG_MIN;
         for (std::size_t k = column + POOLED - wide; k <= column + POOLED + wide; ++k) {
             most = std::max(most, farthest[k % POOLED]);
         }
@@ -225,7 +224,7 @@ public:
     std::size_t rings;
 
 private:
-    // The sum of the rings before one and the columns before another, in turns from -1 on.
+    // Cumulative sum of the rings below `ring` and the columns before `column`, counted from one turn before.
     Four until(std::size_t ring, std::size_t column) const {
         const Four* row = &before_[ring * (POOLED + 1)];
         return row[column % POOLED] + float(column / POOLED) * row[POOLED];
@@ -235,9 +234,9 @@ private:
     Buffer<float> farthest;
 };
 
-// The median of the sectors' shares in a bin, weighted with their beams; 0 without any.
+// Return the median over sectors of the returning share in a bin, weighted by beams; 0 without any.
 double median_share(const ShareCounts& returned, const ShareCounts& lost, std::size_t bin) {
-    std::array<std::pair<double, std::int64_t>, SHARE_SECTORS> shares;  // with their beams
+    std::array<std::pair<double, std::int64_t>, SHARE_SECTORS> shares;  // share and number of beams
     std::size_t count = 0;
     std::int64_t all = 0, seen = 0;
     for (std::size_t s = 0; s < SHARE_SECTORS; ++s) {
@@ -253,8 +252,7 @@ double median_share(const ShareCounts& returned, const ShareCounts& lost, std::s
     return 0.0;
 }
 
-// The share of the beams at ground that return, in each bin of range: the median over the sectors. Outwards: each bin
-// starts from the one before.
+// Return the returning share of ground beams by range bin: median over sectors, with the nearer bin as prior.
 Shares returning_shares(const ShareCounts& returned, const ShareCounts& lost) {
     Shares share;
     double before = 1.0;
@@ -278,7 +276,7 @@ PolarGround polar_ground(const Ground& ground, float sensor_height_m, double top
     return polar;
 }
 
-// The missing beams of a sweep and what the network is fed with.
+// The missing beams of a sweep, and the network inputs for their groups.
 class NoReturnScene {
 public:
     NoReturnScene(const DepthImages& images_, const RingAims& aims_, const Ground& ground, float sensor_height_m_,
@@ -293,7 +291,7 @@ public:
         of_sweep = {log_m(farthest_m), log_m(sensor_height_m),
                     std::log2(float(tangent[images.rings - 1] - tangent[0]) / float(images.rings) + 1e-3f),
                     std::log2(float(images.columns))};
-        // In each ring the missing beams and their groups. Rings and columns without returns have none.
+        // Find the missing beams and their groups in each ring; rings and columns without returns have none.
         const Turn turn(images.columns);
         const std::size_t parts = std::min(count_parts(rings * images.columns, PART), rings);
         std::vector<ShareCounts> lost(parts, ShareCounts{});
@@ -312,35 +310,34 @@ public:
         find_unexplained();
     }
 
-    // What stands around the groups of one ring in one pooled column: the features that they share, in their order.
+    // Surroundings shared by the groups of one ring in one pooled column, in the order of the features.
     struct Surroundings {
         std::size_t ring, column;
-        float near[3], near_farthest;       // some rings and columns around
+        float near[3], near_farthest;       // a few rings and columns around
         float wide[3], above[3], below[2];  // a sixth of the rings and eleven columns; the rings above; those below
         float own_ring[2], wide_farthest, everything[3];
     };
 
-    // Renew the surroundings of a group, where they are not those of the group before.
+    // Update the surroundings if the group lies in another ring or pooled column than the one before.
     void look_around(std::size_t r, const Group& group, Surroundings& around) const {
         const std::size_t p = std::size_t(group.column) * POOLED / images.columns;
         const std::size_t wide = std::max<std::size_t>(pooled.rings / 6, 2);
         if (around.ring == r && around.column == p) return;
         around.ring = r, around.column = p;
-        float some[3];
+        float values[3];
         pooled.describe(r > 2 ? r - 2 : 0, std::min(r + 3, pooled.rings), p, 1, around.near);
         around.near_farthest = pooled.farthest_around(p, 1);
         pooled.describe(r > wide ? r - wide : 0, std::min(r + wide + 1, pooled.rings), p, 5, around.wide);
         pooled.describe(std::min(r + 1, pooled.rings), pooled.rings, p, 2, around.above);
-        pooled.describe(r > 4 ? r - 4 : 0, r, p, 1, some);
-        std::copy_n(some, 2, around.below);
-        pooled.describe(r, r + 1, p, POOLED / 2 - 1, some);
-        std::copy_n(some, 2, around.own_ring);
+        pooled.describe(r > 4 ? r - 4 : 0, r, p, 1, values);
+        std::copy_n(values, 2, around.below);
+        pooled.describe(r, r + 1, p, POOLED / 2 - 1, values);
+        std::copy_n(values, 2, around.own_ring);
         around.wide_farthest = pooled.farthest_around(p, 5);
         pooled.describe(0, pooled.rings, p, POOLED / 2 - 1, around.everything);
     }
 
-    // Write the features of a group, and the logarithms of the ranges at which it may have ended: each `stride` behind the
-    // one before.
+    // Write the features of a group and its log2 candidate ranges; consecutive values are `stride` apart.
     void describe(const Group& group, const Surroundings& around, std::size_t stride, float* feature, float* stop) const {
         const std::size_t r = around.ring, c = std::size_t(group.column);
         const std::size_t below = rings_below[r * images.columns + c];
@@ -355,7 +352,7 @@ public:
                                     log_m(group.ground_m), around.near[1], around.near_farthest};
         for (std::size_t n = 0; n < STOPS; ++n) stop[stride * n] = stops[n];
         add_all(stops);
-        // Meters to the returns beside, below and above it.
+        // Distances in meters to the returns beside, below and above.
         const auto apart = [](double rise, float meters) {
             return meters < NONE ? log_m(float(rise) * meters) : LOG_NONE;
         };
@@ -381,12 +378,12 @@ public:
         add_all(around.own_ring);
         add(around.wide_farthest);
         add_all(around.everything);
-        // Of the sweep.
+        // Features of the sweep.
         add_all(of_sweep);
         add(float(r) / float(images.rings));
     }
 
-    // Whether all beams of a group pass above all targets, by a margin.
+    // Check that all beams of a group pass above all targets, by a margin.
     bool passes_above(std::size_t r, const Group& group) const {
         const float margin = 0.02f + std::fabs(float(aims.origin_m[r])) / std::max(steep_m, 0.1f);
         return group.slope - margin > polar.top[ground_sector(group.azimuth)];
@@ -396,12 +393,12 @@ public:
     const RingAims& aims;
     float sensor_height_m, steep_m, farthest_m;
     PolarGround polar;
-    std::size_t rings;  // those with beams that may reach a target
+    std::size_t rings;  // with beams that may reach a target
     Buffer<bool> silent;
     Missing missing;
 
 private:
-    // Find the missing beams of a ring, where they aimed and their groups; count those that should have met open ground.
+    // Find the missing beams of a ring, their directions and groups; count those that should have met open ground.
     void find_groups(std::size_t r, const Turn& turn, MissingBeams& found, ShareCounts& lost) {
         const std::size_t columns = images.columns, begin = r * columns;
         const auto wide = std::int32_t(std::max<std::size_t>(columns / GROUPS, 1));
@@ -434,7 +431,7 @@ private:
             group.near_m = near.nearest_m, group.far_m = far.nearest_m;
             group.is_near_obstacle = near.obstacle_m < NONE, group.is_far_obstacle = far.obstacle_m < NONE;
             group.bound_m = bound_of(images, r, c);
-            // A beam that starts higher looks less steep from the sensor's origin: once more with the slope at that range.
+            // A higher beam origin makes the beam appear less steep: repeat with the slope at that range.
             const std::size_t sector = ground_sector(group.azimuth);
             group.ground_m = meet_ground(polar, sector, group.slope, at);
             const float rise_m = float(aims.origin_m[r]);
@@ -449,12 +446,12 @@ private:
         missing.beams[r] = count, missing.groups[r] = groups;
     }
 
-    // Mark the groups that nothing explains, from the lowest ring upwards, since each says something of the one above.
+    // Mark unexplained groups, from the lowest ring upward: each affects the one above.
     void find_unexplained() {
         const std::size_t columns = images.columns;
         const auto wide = std::max<std::size_t>(columns / GROUPS, 1);
-        std::vector<std::int32_t> last(columns, -2);  // the last ring of each column with such a group
-        std::int32_t below = -1;                      // the next lower ring that has returns
+        std::vector<std::int32_t> last(columns, -2);  // last ring with an unexplained group, by column
+        std::int32_t below = -1;                      // next lower ring with returns
         for (std::size_t r = 0; r < rings; ++r) {
             for (std::size_t g = r * columns; g < r * columns + missing.groups[r]; ++g) {
                 Group& group = missing.group[g];
@@ -472,13 +469,13 @@ private:
     }
 
     std::vector<double> tangent;
-    std::array<float, 4> of_sweep;  // its reach, sensor height, gap between rings, and columns, as features
+    std::array<float, 4> of_sweep;  // features of the sweep: reach, sensor height, ring gap, columns
     Buffer<std::uint8_t> rings_below;
     PooledImage pooled;
     Shares share;
 };
 
-// Write features (FEATURES, AT_ONCE) less their mean, in deviations.
+// Standardize features (FEATURES, AT_ONCE) and clip them to ±MOST_DEVIATIONS.
 MULTIVERSION void standardize(const float* feature, float* out) {
     for (std::size_t k = 0; k < FEATURES; ++k) {
         for (std::size_t n = k * AT_ONCE; n < (k + 1) * AT_ONCE; ++n) {
@@ -488,8 +485,8 @@ MULTIVERSION void standardize(const float* feature, float* out) {
     }
 }
 
-// out (units,) = weights (inputs, units) · in (inputs,) + bias (units,), for all groups at once, four units at a time so that
-// their sums stay in registers. Sums go in the order of the inputs.
+// Compute out = weights (inputs, units) · in + bias for all groups at once, four units at a time so that the sums stay
+// in registers. Sums follow the order of the inputs.
 MULTIVERSION void apply_layer(const float* weights, const float* bias, std::size_t inputs, std::size_t units, const Lanes* in,
                               bool is_hidden, Lanes* out) {
     std::size_t u = 0;
@@ -514,13 +511,13 @@ MULTIVERSION void apply_layer(const float* weights, const float* bias, std::size
     for (std::size_t n = 0; n < units * AT_ONCE; ++n) number[n] = number[n] > 0.0f ? number[n] : 0.0f;
 }
 
-// Write the ranges (3, AT_ONCE) that shares SURVIVED of the beams of each group passed, from the outputs (OUTPUTS, AT_ONCE) of
-// the network. In loops over the groups, which become vectors, as their count is not known before: nothing is sorted.
+// Write the ranges (3, AT_ONCE) that shares SURVIVED of the beams of each group exceed, from the network's outputs
+// (OUTPUTS, AT_ONCE). Loops over groups vectorize, so nothing is sorted.
 MULTIVERSION void write_depths(const float* __restrict output, const GroupsAtOnce& groups, std::size_t count,
                                float* __restrict depth_m) {
     constexpr std::size_t ENDS = STOPS + LAPLACE.size(), LOGITS = UNSEEN + 1;
     const float *const stop = groups.stop, *const unexplained = groups.unexplained;
-    // 1. The weights of what may have ended a beam, less that of the likeliest.
+    // 1. Softmax weights of the possible ends of a beam.
     float logit[LOGITS][AT_ONCE], most[AT_ONCE], total[AT_ONCE], log_m[ENDS][AT_ONCE], weight[ENDS][AT_ONCE];
     for (std::size_t k = 0; k < LOGITS; ++k) {
         const float held_back = k == FREE || k == ON_GROUND || k == FARTHEST ? LOG_UNEXPLAINED_WEIGHT : 0.0f;
@@ -540,7 +537,7 @@ MULTIVERSION void write_depths(const float* __restrict output, const GroupsAtOnc
         }
     }
     for (std::size_t n = 0; n < count; ++n) {
-        // What stopped an unexplained beam stands no farther than the return below it, as far as is known.
+        // What stopped an unexplained beam is assumed no farther than the return below it.
         const float mean = output[UNSEEN_MEAN * AT_ONCE + n], below = stop[BELOW * AT_ONCE + n];
         const float bound = unexplained[n] > 0.0f && below < LOG_NONE ? below : NONE, center = mean < bound ? mean : bound;
         const float log_deviation = output[UNSEEN_LOG_DEVIATION * AT_ONCE + n];
@@ -555,7 +552,7 @@ MULTIVERSION void write_depths(const float* __restrict output, const GroupsAtOnc
     for (std::size_t k = 0; k < ENDS; ++k) {
         for (std::size_t n = 0; n < count; ++n) total[n] += weight[k][n];
     }
-    // 2. The nearest end up to which more than the rest of the beams ended.
+    // 2. Find the nearest end up to which a share above 1 - SURVIVED of the beams ended.
     float found[SURVIVED.size()][AT_ONCE];
     std::fill_n(found[0], SURVIVED.size() * AT_ONCE, NONE);
     for (std::size_t k = 0; k < ENDS; ++k) {
@@ -578,9 +575,9 @@ MULTIVERSION void write_depths(const float* __restrict output, const GroupsAtOnc
     }
 }
 
-// Write the depths (3, AT_ONCE) of groups by the network.
+// Write the depths (3, AT_ONCE) of a batch of groups by the network.
 void guess_depths(const GroupsAtOnce& groups, float* depth_m) {
-    Lanes first[FEATURES], second[MOST_UNITS], third[MOST_UNITS], output[OUTPUTS];
+    Lanes first[FEATURES], second[MAX_UNITS], third[MAX_UNITS], output[OUTPUTS];
     standardize(groups.feature, reinterpret_cast<float*>(first));
     apply_layer(FIRST, FIRST_BIAS, FEATURES, std::size(FIRST_BIAS), first, true, second);
     apply_layer(SECOND, SECOND_BIAS, std::size(FIRST_BIAS), std::size(SECOND_BIAS), second, true, third);
@@ -616,7 +613,7 @@ NoReturnBeams guess_no_return_beams(const DepthImages& images, const RingAims& a
     const NoReturnScene scene(images, aims, ground, sensor_height_m, top_m, steep_m);
     const std::size_t columns = images.columns;
     const Missing& missing = scene.missing;
-    // 1. The depths of each group.
+    // 1. Estimate the depths of each group.
     Buffer<std::array<float, 3>> depths(scene.rings * columns);
     const std::size_t parts = std::min(count_parts(scene.rings * columns, PART), scene.rings);
     run_parts(parts, [&](std::size_t part) {
@@ -639,13 +636,13 @@ NoReturnBeams guess_no_return_beams(const DepthImages& images, const RingAims& a
                 float found[3][AT_ONCE];
                 guess_depths(groups, found[0]);
                 const auto depth_m = [&](std::size_t d, std::size_t k) {
-                    return std::min(found[d][k], SHOWN_TIMES * scene.farthest_m);
+                    return std::min(found[d][k], MAX_REACH_RATIO * scene.farthest_m);
                 };
                 for (std::size_t k = 0; k < kept; ++k) depths[place[k]] = {depth_m(0, k), depth_m(1, k), depth_m(2, k)};
             }
         }
     });
-    // 2. Its beams. Slopes are seen from the sensor's origin. Beams above all targets are left out.
+    // 2. Write its beams, with slopes seen from the sensor's origin. Beams above all targets are dropped.
     NoReturnBeams beams(scene.rings * columns);
     for (std::size_t r = 0; r < scene.rings; ++r) {
         const float rise_m = float(aims.origin_m[r]);
@@ -668,7 +665,7 @@ BeamColumns no_return_beams(const DepthImages& images, const RingAims& aims, boo
     MissingBeams missing(columns);
     for (std::size_t r = 0; r < rings; ++r) {
         find_missing({images.counts.data() + r * columns, columns}, missing);
-        // The depth of each, and those that have one.
+        // Fill the depth of each beam, and keep those with one.
         std::size_t count = 0;
         for (std::size_t k = 0; k < missing.count; ++k) {
             const std::int32_t c = missing.column[k];

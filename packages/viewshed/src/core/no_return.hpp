@@ -1,4 +1,4 @@
-// Beams without a return: which ones a sweep lacks, where they aimed, and how far each of them is likely to have gone.
+// Beams without a return: which ones are missing, where they aimed, and how far each is likely to have gone.
 #pragma once
 
 #include <array>
@@ -10,24 +10,24 @@
 
 namespace viewshed {
 
-// Ground nearer than this many sensor heights (seen at 14° or more) is always expected to return.
+// Ground nearer than this many sensor heights (seen at 14° or steeper) is always expected to return.
 constexpr double STEEP = 4.0;
 
-// Features of a group of beams.
+// Number of features of a group of beams.
 constexpr std::size_t FEATURES = 42;
 
-// Where a beam may have ended: at the nearer or farther return beside it in its ring, at the next one below or above it in
-// its column, at the ground, at the middle range around it, at the farthest return of its azimuth.
+// Candidate ranges at which a beam may have ended: the nearer or farther neighboring return in its ring, the next
+// return below or above in its column, the ground, the mean range around it, the farthest return of its azimuth.
 enum Stop { NEARER, FARTHER, BELOW, ABOVE, ON_GROUND, AROUND, FARTHEST, STOPS };
 
-// Where the beams of each ring point: where in its columns it fires, radians above the horizon, height of their origin.
+// Directions of the beams of each ring: phase in a column, elevation in radians, height of the origin in meters.
 struct RingAims {
     View1<const float> phase;
     View1<const double> elevation, origin_m;
     const double* rotation;  // (3, 3) from the sensor to `level`
 };
 
-// B beams; as viewshed.fov.visibility.Beams. There is room for more.
+// B beams, as in viewshed.fov.visibility.Beams; the buffers may be larger.
 struct BeamColumns {
     explicit BeamColumns(std::size_t room) : azimuth(room), slope(room), depth_m(room) {}
 
@@ -35,7 +35,7 @@ struct BeamColumns {
     Buffer<float> azimuth, slope, depth_m;
 };
 
-// B beams and the ranges that they passed with a probability of .8, .5 and .2.
+// B beams, with the ranges that they exceed with probability 0.8, 0.5 and 0.2.
 struct NoReturnBeams {
     explicit NoReturnBeams(std::size_t room)
         : azimuth(room), slope(room), early_m(room), depth_m(room), late_m(room) {}
@@ -50,8 +50,8 @@ struct NoReturnBeams {
     Buffer<float> azimuth, slope, early_m, depth_m, late_m;
 };
 
-// What the network is fed with, for G groups of beams beside each other: where their middle aims, how many beams may meet
-// a target, features, and logarithms (base 2) of the ranges at which they may have ended.
+// Inputs of the network for G groups of adjacent beams: direction of the middle beam, number of beams that may meet a
+// target, features, and log2 of the candidate ranges.
 struct NoReturnGroups {
     Buffer<float> azimuth, slope;
     Buffer<std::int32_t> beams;
@@ -61,13 +61,13 @@ struct NoReturnGroups {
 NoReturnGroups describe_no_return_beams(const DepthImages& images, const RingAims& aims, const Ground& ground,
                                        float sensor_height_m, double top_m, float steep_m);
 
-// The beams that may meet a target of height top_m. A network of three layers over the features of a group of beams, fitted
-// by viewshed_lab.training.no_return, says how likely each stop is, and that nothing stopped them.
+// Return the missing beams that may meet a target of height top_m, with their depths. A three-layer network on the
+// features of a group, fitted by viewshed_lab.training.no_return, gives the probability of each stop, and of none.
 NoReturnBeams guess_no_return_beams(const DepthImages& images, const RingAims& aims, const Ground& ground,
                                     float sensor_height_m, double top_m, float steep_m);
 
-// All beams without a return, in rings without any as well: as deep as the nearer of the two returns beside them in the
-// ring within 16 columns, and left out without these; or endless, without `fill`.
+// Return all beams without a return, even of empty rings. With `fill`, their depth is the nearer of the two neighboring
+// returns in the ring within 16 columns, and beams without one are dropped; otherwise it is infinite.
 BeamColumns no_return_beams(const DepthImages& images, const RingAims& aims, bool fill);
 
 }  // namespace viewshed

@@ -11,53 +11,53 @@
 namespace viewshed {
 namespace {
 
-// Returns between these heights above the ground stand on it; those above, up to the last, hang over what stands below.
+// Height limits of returns that stand on the ground, and the upper limit of returns that overhang them.
 constexpr float LOW_M = 0.3f, HIGH_M = 3.0f, OVERHEAD_M = 8.0f;
 
-// Cells in which returns are summed: their side, half the side of the square that they fill, and how many there are at most.
+// Cells in which returns are pooled: cell size, half the side of the grid, cells a side, and most cells used.
 constexpr float CELL_M = 0.2f, HALF_EXTENT_M = 80.0f;
 constexpr int CELLS = 800;
 constexpr std::size_t MOST_CELLS = 40'000;
 
-// Cells are linked up to these distances, at the sensor and more for each meter of range.
+// Linking distance of each level: at range 0, and more per meter of range.
 constexpr std::size_t LEVELS = 4;
 constexpr std::array<float, LEVELS> GAP_M{0.3f, 0.45f, 0.7f, 1.0f}, GAP_PER_M{0.0f, 0.006f, 0.012f, 0.02f};
 
-// A candidate has at least FEWEST_RETURNS, and no side longer than LONGEST_M; at most MOST_CANDIDATES are looked at.
+// Limits of a candidate's returns and side length, and of the number of candidates.
 constexpr std::int32_t FEWEST_RETURNS = 4;
 constexpr float LONGEST_M = 20.0f;
 constexpr std::size_t MOST_CANDIDATES = 2'000;
 
-// Up to FIT_RETURNS of its returns show its heading, up to SHAPE_RETURNS its shape.
+// Most returns used to fit the heading, and to compute the shape.
 constexpr std::size_t FIT_RETURNS = 64, SHAPE_RETURNS = 256;
 
-// Headings over a quarter turn that are tried first, and those between that are tried beside the best, degrees.
+// Heading steps in degrees over a quarter turn: a coarse search, then a fine one around the best.
 constexpr int COARSE_DEG = 6, FINE_DEG = 1;
 constexpr float RAD_PER_DEG = PI / 180;
 
-// A return nearer to a side than this lies on it: the noise of ranges.
+// Distances within which a return lies on a side, and near a side: range noise.
 constexpr float ON_SIDE_M = 0.1f, NEAR_SIDE_M = 0.15f;
 
-// Columns of azimuth in which the nearest return is kept, to see what hides the ends of a candidate, ...
+// Azimuth columns of the nearest return, to detect what hides the ends of a candidate, ...
 constexpr std::size_t COLUMNS = 1024;
-// ... within this distance beyond the end, and this much nearer.
+// ... within BESIDE_M beyond the end and BEFORE_M nearer.
 constexpr float BESIDE_M = 0.6f, BEFORE_M = 0.7f;
 
-// Layers of elevation in which returns are counted: their tangent, and how many.
+// Elevation layers of returns: their step in slope, and their number.
 constexpr float LAYER_SLOPE = 0.004f;
 constexpr int LAYERS = 512;
 
-// Candidates of a part that is worth a thread.
+// Candidates of each part.
 constexpr std::size_t PART = 24;
 
 struct Cell {
     std::int32_t at;      // row * CELLS + column
-    std::int32_t first;   // of its returns in the rows that are sorted by cells
+    std::int32_t first;   // of its returns in the rows sorted by cell
     std::int32_t count, over;
-    float x, y, range_m;  // middle of its returns
+    float x, y, range_m;  // mean of its returns
 };
 
-// Sets that grow together.
+// Disjoint sets (union-find).
 class Sets {
 public:
     explicit Sets(std::size_t size) : above_(size) { std::iota(above_.begin(), above_.end(), 0); }
@@ -66,7 +66,7 @@ public:
         while (above_[k] != k) k = above_[k] = above_[above_[k]];
         return k;
     }
-    // The lower number stays the root, so that numbers do not depend on the order of joining.
+    // The lower index stays the root, independent of the order of joining.
     void join(std::int32_t a, std::int32_t b) {
         a = root(a);
         b = root(b);
@@ -78,7 +78,7 @@ private:
     std::vector<std::int32_t> above_;
 };
 
-// The cell of a place, -1 outside.
+// Return the cell of a position, -1 outside.
 INLINE std::int32_t cell_of(float x, float y) {
     const bool inside = std::fabs(x) < HALF_EXTENT_M && std::fabs(y) < HALF_EXTENT_M;
     if (!inside) return -1;
@@ -87,17 +87,18 @@ INLINE std::int32_t cell_of(float x, float y) {
     return i * CELLS + j;
 }
 
-// The cells that hold returns, and the rows of the points sorted by them. `number` (CELLS²) is each cell's, -1 for none.
+// Return the cells that hold returns, and sort the rows of the points by cell. `number` (CELLS²) maps to them, -1 for
+// none.
 std::vector<Cell> cells_of(View2<const float> points, View1<const float> height_m, Buffer<std::int32_t>& number,
                            std::vector<std::int32_t>& rows) {
     const std::size_t count = points.rows;
     std::fill(number.begin(), number.end(), -1);
-    // 1. How many returns stand in each cell.
+    // 1. Count the standing returns in each cell.
     std::vector<Cell> cells;
-    std::vector<std::int32_t> cell(count);
+    std::vector<std::int32_t> cell_of_point(count);
     std::size_t standing = 0;
     for (std::size_t n = 0; n < count; ++n) {
-        cell[n] = -1;
+        cell_of_point[n] = -1;
         if (!(height_m[n] >= LOW_M && height_m[n] < HIGH_M)) continue;
         const std::int32_t at = cell_of(points(n, 0), points(n, 1));
         if (at < 0) continue;
@@ -107,17 +108,17 @@ std::vector<Cell> cells_of(View2<const float> points, View1<const float> height_
             cells.push_back({at, 0, 0, 0, 0.0f, 0.0f, 0.0f});
         }
         ++cells[k].count;
-        cell[n] = k;
+        cell_of_point[n] = k;
         ++standing;
     }
-    // 2. The nearest cells only, where there are too many: by whole meters of range.
+    // 2. Keep the nearest cells if there are too many, by whole meters of range.
     if (cells.size() > MOST_CELLS) {
         std::array<std::size_t, std::size_t(2 * HALF_EXTENT_M)> within{};
-        const auto ring_of = [](const Cell& each) {
-            const float x = float(each.at / CELLS) * CELL_M - HALF_EXTENT_M, y = float(each.at % CELLS) * CELL_M - HALF_EXTENT_M;
+        const auto ring_of = [](const Cell& cell) {
+            const float x = float(cell.at / CELLS) * CELL_M - HALF_EXTENT_M, y = float(cell.at % CELLS) * CELL_M - HALF_EXTENT_M;
             return std::min(std::size_t(std::hypot(x, y)), std::size_t(2 * HALF_EXTENT_M) - 1);
         };
-        for (const Cell& each : cells) ++within[ring_of(each)];
+        for (const Cell& cell : cells) ++within[ring_of(cell)];
         std::size_t rings = 0, total = 0;
         while (rings < within.size() && total + within[rings] <= MOST_CELLS) total += within[rings++];
         std::vector<std::int32_t> kept(cells.size(), -1);
@@ -133,46 +134,46 @@ std::vector<Cell> cells_of(View2<const float> points, View1<const float> height_
         cells.resize(next);
         for (std::size_t k = 0; k < next; ++k) number[cells[k].at] = std::int32_t(k);
         standing = 0;
-        for (std::int32_t& k : cell) {
+        for (std::int32_t& k : cell_of_point) {
             k = k < 0 ? -1 : kept[k];
             standing += k >= 0;
         }
     }
-    // 3. Sort the rows by cells, and take the middle of each.
+    // 3. Sort the rows by cell, and average each cell.
     std::int32_t next = 0;
-    for (Cell& each : cells) {
-        each.first = next;
-        next += each.count;
-        each.count = 0;
+    for (Cell& cell : cells) {
+        cell.first = next;
+        next += cell.count;
+        cell.count = 0;
     }
     rows.resize(standing);
     for (std::size_t n = 0; n < count; ++n) {
-        if (cell[n] >= 0) {
-            Cell& each = cells[cell[n]];
-            rows[each.first + each.count++] = std::int32_t(n);
-            each.x += points(n, 0);
-            each.y += points(n, 1);
+        if (cell_of_point[n] >= 0) {
+            Cell& cell = cells[cell_of_point[n]];
+            rows[cell.first + cell.count++] = std::int32_t(n);
+            cell.x += points(n, 0);
+            cell.y += points(n, 1);
         } else if (height_m[n] >= HIGH_M && height_m[n] < OVERHEAD_M) {
             const std::int32_t at = cell_of(points(n, 0), points(n, 1));
             if (at >= 0 && number[at] >= 0) ++cells[number[at]].over;
         }
     }
-    for (Cell& each : cells) {
-        each.x /= float(each.count);
-        each.y /= float(each.count);
-        each.range_m = std::hypot(each.x, each.y);
+    for (Cell& cell : cells) {
+        cell.x /= float(cell.count);
+        cell.y /= float(cell.count);
+        cell.range_m = std::hypot(cell.x, cell.y);
     }
     return cells;
 }
 
-// Call visit(k, other, squared distance) for pairs of cells no farther apart than a level's distance; each pair once.
+// Call visit(k, other, squared distance) once for each pair of cells within a level's distance.
 template <typename Visit>
 INLINE void for_pairs(const std::vector<Cell>& cells, const Buffer<std::int32_t>& number, std::size_t level, const Visit& visit) {
     for (std::size_t k = 0; k < cells.size(); ++k) {
         const Cell& one = cells[k];
         const float gap_m = GAP_M[level] + GAP_PER_M[level] * one.range_m, gap_m2 = gap_m * gap_m;
         const int steps = int(gap_m / CELL_M) + 1, i = one.at / CELLS, j = one.at % CELLS;
-        // Half of the cells around.
+        // Half of the neighborhood, so that each pair occurs once.
         for (int p = i; p <= std::min(i + steps, CELLS - 1); ++p) {
             const int from = p == i ? j + 1 : std::max(j - steps, 0), to = std::min(j + steps, CELLS - 1);
             const std::int32_t* row = number.data() + std::size_t(p) * CELLS;
@@ -185,14 +186,14 @@ INLINE void for_pairs(const std::vector<Cell>& cells, const Buffer<std::int32_t>
     }
 }
 
-// Link cells at each distance; the sets of a greater distance hold those of a smaller one.
-std::vector<Sets> linked(const std::vector<Cell>& cells, const Buffer<std::int32_t>& number) {
-    // 1. The smallest distance: most pairs.
+// Link cells at each level; sets of a larger distance contain those of a smaller one.
+std::vector<Sets> link_cells(const std::vector<Cell>& cells, const Buffer<std::int32_t>& number) {
+    // 1. The smallest distance, with most pairs.
     Sets smallest(cells.size());
     for_pairs(cells, number, 0, [&](std::size_t k, std::int32_t other, float) { smallest.join(std::int32_t(k), other); });
     std::vector<std::int32_t> part(cells.size());
     for (std::size_t k = 0; k < cells.size(); ++k) part[k] = smallest.root(std::int32_t(k));
-    // 2. The others, between different parts.
+    // 2. Larger distances, only between different parts.
     std::vector<Sets> sets(LEVELS, smallest);
     for_pairs(cells, number, LEVELS - 1, [&](std::size_t k, std::int32_t other, float apart_m2) {
         if (part[k] == part[other]) return;
@@ -205,20 +206,20 @@ std::vector<Sets> linked(const std::vector<Cell>& cells, const Buffer<std::int32
     return sets;
 }
 
-// Spans of sorted cells that are linked at one distance.
+// A span of sorted cells that are linked at one level.
 struct Span {
     std::int32_t first, last, parent, returns;
     std::size_t level;
 };
 
-// Sort cells so that every set of every distance is a span; return the spans that are larger than their parts.
+// Sort cells so that every set of every level is a span; return the spans that are larger than their parts.
 std::vector<Span> spans_of(std::vector<Cell>& cells, std::vector<Sets>& sets) {
     const std::size_t count = cells.size();
     std::vector<std::array<std::int32_t, LEVELS>> roots(count);
     for (std::size_t k = 0; k < count; ++k) {
         for (std::size_t l = 0; l < LEVELS; ++l) roots[k][l] = sets[l].root(std::int32_t(k));
     }
-    // 1. By the root at the smallest distance, then the next, ...: each sort keeps the order of the one before.
+    // 1. Radix sort by the roots, from the smallest distance to the largest; each pass is stable.
     std::vector<std::int32_t> order(count), sorted(count), next(count + 1);
     std::iota(order.begin(), order.end(), 0);
     for (std::size_t l = 0; l < LEVELS; ++l) {
@@ -231,7 +232,7 @@ std::vector<Span> spans_of(std::vector<Cell>& cells, std::vector<Sets>& sets) {
     std::vector<Cell> in_order(count);
     for (std::size_t k = 0; k < count; ++k) in_order[k] = cells[order[k]];
     cells.swap(in_order);
-    // 2. Spans, the greatest distance first; one that is as large as its parent is the parent.
+    // 2. Build spans from the largest distance down; a span equal to its parent replaces the parent's level.
     std::vector<Span> spans;
     std::vector<std::int32_t> holder(count, -1);
     for (std::size_t l = LEVELS; l-- > 0;) {
@@ -255,7 +256,7 @@ std::vector<Span> spans_of(std::vector<Cell>& cells, std::vector<Sets>& sets) {
     return spans;
 }
 
-// Least and greatest of some numbers.
+// Minimum and maximum of added values.
 struct Interval {
     float low = 1e30f, high = -1e30f;
 
@@ -266,7 +267,7 @@ struct Interval {
     float length() const { return high > low ? high - low : 0.0f; }
 };
 
-// How well returns (n,) lie on the sides of the box about them, turned by a heading: the closeness of Zhang et al. 2017.
+// Return the closeness criterion of Zhang et al. 2017: how well returns (n,) lie on the sides of their rotated box.
 MULTIVERSION float closeness(const float* x, const float* y, std::size_t count, float c, float s) {
     float a_low = 1e30f, a_high = -1e30f, b_low = 1e30f, b_high = -1e30f;
     for (std::size_t n = 0; n < count; ++n) {
@@ -287,25 +288,25 @@ MULTIVERSION float closeness(const float* x, const float* y, std::size_t count, 
     return sum;
 }
 
-// The heading in [0, π/2) of the box on whose sides the returns lie best.
+// Return the heading in [0, π/2) with the best closeness.
 float heading_of(const float* x, const float* y, std::size_t count) {
     const auto value = [&](int degrees) {
         return closeness(x, y, count, std::cos(float(degrees) * RAD_PER_DEG), std::sin(float(degrees) * RAD_PER_DEG));
     };
     int best = 0;
-    float most = -1.0f;
-    const auto look = [&](int degrees) {
+    float max_closeness = -1.0f;
+    const auto try_heading = [&](int degrees) {
         const float now = value(degrees);
-        if (now > most) {
-            most = now;
+        if (now > max_closeness) {
+            max_closeness = now;
             best = degrees;
         }
     };
-    for (int degrees = 0; degrees < 90; degrees += COARSE_DEG) look(degrees);
+    for (int degrees = 0; degrees < 90; degrees += COARSE_DEG) try_heading(degrees);
     const int middle = best;
     for (int away = FINE_DEG; away < COARSE_DEG; away += FINE_DEG) {
-        look(middle - away);
-        look(middle + away);
+        try_heading(middle - away);
+        try_heading(middle + away);
     }
     return float((best + 90) % 90) * RAD_PER_DEG;
 }
@@ -315,7 +316,7 @@ std::size_t column_of(float azimuth) {
     return std::min(std::size_t((turns - std::floor(turns)) * float(COLUMNS)), COLUMNS - 1);
 }
 
-// Whether something nearer than range_m stands within BESIDE_M beyond an azimuth, on the side of `step`.
+// Check if something nearer than range_m stands within BESIDE_M beyond an azimuth, on the side of `step`.
 bool is_hidden_beside(const std::vector<float>& nearest_m, float azimuth, float range_m, int step) {
     const int columns = 1 + int(BESIDE_M / std::max(range_m, 1.0f) * float(COLUMNS) / (2 * PI));
     const int at = int(column_of(azimuth));
@@ -326,7 +327,7 @@ bool is_hidden_beside(const std::vector<float>& nearest_m, float azimuth, float 
     return false;
 }
 
-// What all candidates are described with.
+// Inputs shared by all candidates.
 struct Sweep {
     View2<const float> points;
     View1<const float> height_m;
@@ -335,10 +336,10 @@ struct Sweep {
     const std::vector<float>& nearest_m;  // (COLUMNS,) by azimuth
 };
 
-// Fit a box to the returns of a span and describe it.
+// Fit a box to the returns of a span and compute its shape.
 void describe(const Sweep& sweep, const std::vector<Cell>& cells, const Span& span, std::int32_t first, std::int32_t last,
               std::array<float, 6>& sides, std::array<float, SHAPES>& shape) {
-    // 1. Some of its returns, evenly.
+    // 1. Sample its returns evenly.
     std::array<float, SHAPE_RETURNS> x, y, z;
     const auto total = std::size_t(last - first), count = std::min(total, SHAPE_RETURNS);
     for (std::size_t n = 0; n < count; ++n) {
@@ -347,7 +348,7 @@ void describe(const Sweep& sweep, const std::vector<Cell>& cells, const Span& sp
         y[n] = sweep.points(row, 1);
         z[n] = sweep.height_m[row];
     }
-    // 2. How it is turned: fewer of them suffice.
+    // 2. Fit the heading on fewer returns.
     std::array<float, FIT_RETURNS> fit_x, fit_y;
     const std::size_t fitted = std::min(count, FIT_RETURNS);
     for (std::size_t n = 0; n < fitted; ++n) {
@@ -361,7 +362,7 @@ void describe(const Sweep& sweep, const std::vector<Cell>& cells, const Span& sp
         along.add(x[n] * c + y[n] * s);
         across.add(y[n] * c - x[n] * s);
     }
-    if (across.length() > along.length()) {  // the heading is that of the long side
+    if (across.length() > along.length()) {  // use the heading of the long side
         heading += PI / 2;
         const float turned = c;
         c = -s;
@@ -370,7 +371,7 @@ void describe(const Sweep& sweep, const std::vector<Cell>& cells, const Span& sp
         along = across;
         across = {-before.high, -before.low};
     }
-    // 3. Heights, distances to the sides, and how the upper and the lower part differ.
+    // 3. Heights, distances to the sides, and extents of the upper and the lower part.
     const bool near_low_a = std::fabs(along.low) < std::fabs(along.high), near_low_b = std::fabs(across.low) < std::fabs(across.high);
     const bool beside_a = along.low > 0 || along.high < 0, beside_b = across.low > 0 || across.high < 0;
     float top = 0.0f, bottom = 1e30f, z1 = 0.0f, z2 = 0.0f, x1 = 0.0f, y1 = 0.0f;
@@ -391,7 +392,7 @@ void describe(const Sweep& sweep, const std::vector<Cell>& cells, const Span& sp
     std::array<float, 4> bands{};
     std::array<float, 3> thirds{};
     std::bitset<LAYERS> layers;
-    float left_m = range_m, right_m = range_m;  // how far its ends are
+    float left_m = range_m, right_m = range_m;  // ranges of its ends
     float edge = 0.0f, on_edge = 0.0f, face = 0.0f, on_face = 0.0f, xx = 0.0f, xy = 0.0f, yy = 0.0f;
     for (std::size_t n = 0; n < count; ++n) {
         const float a = x[n] * c + y[n] * s, b = y[n] * c - x[n] * s;
@@ -399,7 +400,7 @@ void describe(const Sweep& sweep, const std::vector<Cell>& cells, const Span& sp
         const float away_m = std::min(da, db);
         edge += away_m;
         on_edge += away_m < NEAR_SIDE_M;
-        // The sides that the sensor sees: one or two.
+        // Sides that face the sensor: one or two.
         const float fa = beside_a ? (near_low_a ? a - along.low : along.high - a) : 1e30f;
         const float fb = beside_b ? (near_low_b ? b - across.low : across.high - b) : 1e30f;
         const float before_m = std::min({fa, fb, 10.0f});
@@ -416,13 +417,13 @@ void describe(const Sweep& sweep, const std::vector<Cell>& cells, const Span& sp
         const float own_m = std::max(std::sqrt(x[n] * x[n] + y[n] * y[n]), 0.1f);
         const float layer = std::trunc((z[n] - sweep.sensor_height_m) / own_m / LAYER_SLOPE) + LAYERS / 2;
         layers[std::size_t(std::clamp(layer, 0.0f, float(LAYERS - 1)))] = true;
-        // Azimuth from that of the middle: a candidate is no longer than LONGEST_M, and may be around the sensor.
+        // Azimuth relative to the center: a candidate may surround the sensor.
         const float away = azimuth_of(y[n] * x1 - x[n] * y1, x[n] * x1 + y[n] * y1);
         left_m = away >= turn.high ? own_m : left_m;
         right_m = away <= turn.low ? own_m : right_m;
         turn.add(away);
     }
-    // 4. What hides its ends.
+    // 4. Check what hides its ends.
     const float azimuth = std::atan2(y1, x1);
     const float hidden_left = is_hidden_beside(sweep.nearest_m, azimuth + turn.high, left_m, 1);
     const float hidden_right = is_hidden_beside(sweep.nearest_m, azimuth + turn.low, right_m, -1);
@@ -470,21 +471,21 @@ void describe(const Sweep& sweep, const std::vector<Cell>& cells, const Span& sp
 Candidates find_candidates(View2<const float> points, View1<const float> height_m, View1<const float> range_m,
                            float sensor_height_m) {
     Candidates found;
-    // 1. Cells with returns that stand on the ground.
+    // 1. Pool standing returns in cells.
     Buffer<std::int32_t> number(std::size_t(CELLS) * CELLS);
     std::vector<std::int32_t> by_cell;
     std::vector<Cell> cells = cells_of(points, height_m, number, by_cell);
-    // 2. Components at every distance.
-    std::vector<Sets> sets = linked(cells, number);
+    // 2. Link cells at every level.
+    std::vector<Sets> sets = link_cells(cells, number);
     std::vector<Span> spans = spans_of(cells, sets);
-    // 3. The rows in the order of the components; where each cell begins.
+    // 3. Sort rows by component; store where each cell begins.
     std::vector<std::int32_t> begins(cells.size() + 1, 0);
     found.rows.reserve(by_cell.size());
     for (std::size_t k = 0; k < cells.size(); ++k) {
         found.rows.insert(found.rows.end(), by_cell.begin() + cells[k].first, by_cell.begin() + cells[k].first + cells[k].count);
         begins[k + 1] = std::int32_t(found.rows.size());
     }
-    // 4. Leave out what is too long, and the smallest where there are too many.
+    // 4. Drop spans that are too long, and the smallest if there are too many.
     std::vector<std::int32_t> kept;
     for (std::size_t k = 0; k < spans.size(); ++k) {
         Interval x, y;
@@ -504,13 +505,13 @@ Candidates find_candidates(View2<const float> points, View1<const float> height_
     }
     std::vector<std::int32_t> place(spans.size(), -1);
     for (std::size_t k = 0; k < kept.size(); ++k) place[kept[k]] = std::int32_t(k);
-    // 5. The nearest return in each direction.
+    // 5. Find the nearest return in each azimuth column.
     std::vector<float> nearest_m(COLUMNS, 1e30f);
     for (const std::int32_t row : found.rows) {
         float& nearest = nearest_m[column_of(azimuth_of(points(row, 1), points(row, 0)))];
         nearest = std::min(nearest, range_m[row]);
     }
-    // 6. Boxes and shapes.
+    // 6. Fit boxes and compute shapes.
     const std::size_t count = kept.size();
     found.first.resize(count);
     found.last.resize(count);
@@ -528,12 +529,12 @@ Candidates find_candidates(View2<const float> points, View1<const float> height_
         }
     };
     run_parts(parts, part);
-    // 7. The next larger candidate of each.
+    // 7. Link each candidate to the next larger one.
     for (std::size_t k = 0; k < count; ++k) {
         const Span& span = spans[kept[k]];
         const std::int32_t parent = span.parent < 0 ? -1 : place[span.parent];
         found.parent[k] = parent;
-        // One that is part of something too long has that as its parent as well, which is no candidate.
+        // A part of a span that was too long keeps it as parent, although that is no candidate.
         found.shapes[k][PARENT_SHARE] = span.parent < 0 ? 1.0f : float(span.returns) / float(spans[span.parent].returns);
         found.shapes[k][PARENT_M] = span.parent < 0 ? 0.0f : parent < 0 ? LONGEST_M : found.shapes[parent][LONG_M];
     }

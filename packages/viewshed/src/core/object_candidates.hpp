@@ -1,4 +1,4 @@
-// Candidates for objects: returns that stand close together, at several nested distances, with their boxes and shapes.
+// Object candidates: clusters of returns at several nested distances, with boxes and shape features.
 #pragma once
 
 #include <array>
@@ -9,7 +9,7 @@
 
 namespace viewshed {
 
-// What describes the shape of a candidate; the order is that of the columns in Python (viewshed.objects.candidates).
+// Shape features of a candidate, in the column order of Python (viewshed.objects.candidates).
 enum Shape {
     LOG_RETURNS, LOG_RANGE, LEVEL,                                   // how many, how far, linked at which distance
     LONG_M, SHORT_M, TOP_M, BOTTOM_M, MEAN_M, DEVIATION_M,           // sides of the box, and heights above the ground
@@ -21,21 +21,23 @@ enum Shape {
     SHAPES
 };
 
-// C candidates of P returns that stand above the ground.
+// C candidates over P returns that stand on the ground.
 struct Candidates {
-    std::vector<std::int32_t> rows;          // (P,) rows of the points, candidate after candidate: nested ranges of it
+    std::vector<std::int32_t> rows;          // (P,) rows of the points, sorted so that each candidate is a range
     std::vector<std::int32_t> first, last;   // (C,) each candidate's range of `rows`
-    std::vector<std::int32_t> parent;        // (C,) the smallest candidate that holds it and more, -1 for none
+    std::vector<std::int32_t> parent;        // (C,) the smallest larger candidate that contains it, -1 for none
     std::vector<std::array<float, 6>> sides; // (C,) heading of the long side, least and greatest coordinate along it,
-                                             // the same across it, and 0 or 1, 2 where only its left or right end is hidden
+                                             // the same across it, and 1 or 2 if only its left or right end is hidden,
+                                             // else 0
     std::vector<std::array<float, SHAPES>> shapes;  // (C,)
 };
 
-// Find candidates among points (N, 3) in the level frame with their heights above the ground (N,), at horizontal ranges (N,).
+// Find candidates among points (N, 3) in the level frame, with heights above the ground (N,) and horizontal ranges
+// (N,).
 //
-// Returns of similar places are summed in cells; cells are linked at LEVELS distances that grow with range, and linked ones
-// are a component. A component of one distance that is larger than its parts of the next smaller distance is a
-// candidate. At most MOST_CELLS cells, the nearest, and MOST_CANDIDATES candidates, those with most returns, are looked at.
+// Returns are pooled in cells. Cells are linked at LEVELS distances that grow with range, and linked cells form
+// components. A component is a candidate if it is larger than its parts at the next smaller distance. At most
+// MOST_CELLS cells (the nearest) and MOST_CANDIDATES candidates (those with most returns) are used.
 Candidates find_candidates(View2<const float> points, View1<const float> height_m, View1<const float> range_m,
                            float sensor_height_m);
 

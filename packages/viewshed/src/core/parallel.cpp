@@ -17,20 +17,20 @@
 namespace viewshed {
 namespace {
 
-constexpr std::size_t MOST_THREADS = 4;
+constexpr std::size_t MAX_THREADS = 4;
 
-// How often a thread without work looks again before it sleeps: about .2 ms, longer than from one stage to the next.
-constexpr int LOOKS = 8000;
+// Spins of an idle thread before it sleeps: about 0.2 ms, longer than the time between two stages.
+constexpr int MAX_SPINS = 8000;
 
 std::size_t threads_at_first() {
     std::size_t count = std::thread::hardware_concurrency();
     if (const char* text = std::getenv("OMP_NUM_THREADS")) count = std::strtoul(text, nullptr, 10);
-    return std::clamp<std::size_t>(count, 1, MOST_THREADS);
+    return std::clamp<std::size_t>(count, 1, MAX_THREADS);
 }
 
 std::atomic<std::size_t> thread_count{threads_at_first()};
 
-// Parts to be done. Whoever comes takes the next one; who comes late finds none left and touches nothing else.
+// Parts to run. Each thread takes the next one; a late thread finds none left and touches nothing else.
 struct Job {
     Job(const std::function<void(std::size_t)>* part, std::size_t parts) : part(part), parts(parts) {}
 
@@ -38,7 +38,7 @@ struct Job {
     std::size_t parts;
     std::atomic<std::size_t> next{0}, done{0};
     std::mutex mutex{};
-    std::size_t failed = parts;  // the first part that raised, and what it raised
+    std::size_t failed = parts;  // lowest part that threw, and its exception
     std::exception_ptr error{};
 
     void take_parts() {
@@ -55,15 +55,15 @@ struct Job {
     }
 };
 
-// Threads that wait for a job. The one that asks works as well, and waits in the end only for parts that others have begun: a
-// helper that the processor has no time for is not missed.
+// Threads that wait for a job. The calling thread works as well and waits only for parts that others have begun, so a
+// helper that gets no processor time does not delay it.
 class Helpers {
 public:
     explicit Helpers(std::size_t count) : count_(count) {
         threads_.reserve(count);
         try {
             for (std::size_t k = 0; k < count; ++k) threads_.emplace_back([this] { help(); });
-        } catch (const std::system_error&) {  // the system gives no more threads: those that there are do the work
+        } catch (const std::system_error&) {  // the system has no more threads: use those that started
         }
     }
     Helpers(const Helpers&) = delete;
@@ -84,7 +84,7 @@ public:
     }
 
 private:
-    // Give the threads a job; none ends them.
+    // Give the threads a job; a null job ends them.
     void give(std::shared_ptr<Job> job) {
         {
             std::lock_guard lock(mutex_);
@@ -96,7 +96,7 @@ private:
 
     void help() {
         for (std::size_t seen = 0;;) {
-            for (int look = 0; look < LOOKS && number_.load(std::memory_order_acquire) == seen; ++look) {
+            for (int spin = 0; spin < MAX_SPINS && number_.load(std::memory_order_acquire) == seen; ++spin) {
 #if defined(__x86_64__)
                 __builtin_ia32_pause();
 #endif
@@ -113,19 +113,19 @@ private:
         }
     }
 
-    const std::size_t count_;  // that were requested
+    const std::size_t count_;  // requested
     std::mutex mutex_;
     std::condition_variable wake_;
-    std::atomic<std::size_t> number_{0};  // of the job
+    std::atomic<std::size_t> number_{0};  // of the current job
     std::shared_ptr<Job> job_;
     std::vector<std::thread> threads_;
 };
 
 std::mutex one_job_at_a_time;
-Helpers* helpers = nullptr;  // the last ones are not deleted: they wait until the process ends
-pid_t owner = 0;             // a forked process has none of its parent's threads, and cannot end them
+Helpers* helpers = nullptr;  // never deleted at exit: they wait until the process ends
+pid_t owner = 0;             // a forked process has none of its parent's threads and cannot join them
 
-// Let there be this number of helpers: end those of another number. Needs the lock.
+// Start this number of helpers after ending those of another number. Needs the lock.
 void set_helpers(std::size_t count) {
     if (owner != getpid()) helpers = nullptr;
     owner = getpid();
@@ -139,8 +139,8 @@ void set_helpers(std::size_t count) {
 std::size_t threads() { return thread_count.load(std::memory_order_relaxed); }
 
 void set_threads(std::size_t count) {
-    thread_count.store(std::clamp<std::size_t>(count, 1, MOST_THREADS));
-    // Where a job runs, the next one finds the number changed.
+    thread_count.store(std::clamp<std::size_t>(count, 1, MAX_THREADS));
+    // If a job is running, the next one resizes the pool.
     const std::unique_lock lock(one_job_at_a_time, std::try_to_lock);
     if (lock.owns_lock() && helpers != nullptr && helpers->count() + 1 != threads()) set_helpers(0);
 }
@@ -150,13 +150,13 @@ std::size_t count_parts(std::size_t size, std::size_t least) {
 }
 
 void run_parts(std::size_t parts, const std::function<void(std::size_t)>& part) {
-    const std::size_t wanted = threads();
+    const std::size_t max_threads = threads();
     std::unique_lock lock(one_job_at_a_time, std::try_to_lock);
-    if (parts <= 1 || wanted <= 1 || !lock.owns_lock()) {
+    if (parts <= 1 || max_threads <= 1 || !lock.owns_lock()) {
         for (std::size_t k = 0; k < parts; ++k) part(k);
         return;
     }
-    set_helpers(wanted - 1);
+    set_helpers(max_threads - 1);
     helpers->run(parts, part);
 }
 

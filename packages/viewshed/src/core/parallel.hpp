@@ -1,4 +1,4 @@
-// Threads that are kept warm: the parts of a stage run on them and on the thread that asks.
+// Thread pool: the parts of a stage run on its threads and on the calling thread.
 #pragma once
 
 #include <cstddef>
@@ -6,19 +6,18 @@
 
 namespace viewshed {
 
-// How many threads a stage may use; at first as many as the processor runs, at most 4, or OMP_NUM_THREADS.
+// Return how many threads a stage may use; initially OMP_NUM_THREADS or the processor's number, at most 4.
 std::size_t threads();
-// Threads that are too many, or too few, end at once, or before the next job where one runs.
+// The pool is resized at once, or before the next job if one is running.
 void set_threads(std::size_t count);
 
-// Call part(k) for k in [0, parts), on as many threads as there are. Another sweep that is being worked on has the threads
-// already: then all parts run here, one after the other. Parts must not depend on who runs them, or in which order, so
-// that results are the same bit for bit on any number of threads. What the first of the parts that raise has raised is
-// raised here.
+// Call part(k) for k in [0, parts) on all threads. If another sweep already uses the pool, run all parts on the calling
+// thread. Parts must not depend on their thread or order, so that results are bit-identical on any number of threads.
+// Rethrows the exception of the first part (lowest k) that threw.
 void run_parts(std::size_t parts, const std::function<void(std::size_t)>& part);
 
-// Cut [0, size) into about equal ranges of at least `least` elements, at most `most_parts` of them, and call
-// body(part, begin, end) for each.
+// Split [0, size) into about equal ranges of at least `least` elements, at most one per thread; call body(part, begin,
+// end).
 std::size_t count_parts(std::size_t size, std::size_t least);
 template <typename Body>
 void for_ranges(std::size_t size, std::size_t parts, const Body& body) {

@@ -15,7 +15,7 @@ constexpr std::size_t PLACES = GROUND_RANGES * GROUND_SECTORS;
 
 double range_at(std::size_t k) { return std::exp2(double(k) / 16.0); }
 
-// x and y (PLACES, 2) of the sectors' middles, range by range.
+// Return x and y (PLACES, 2) of the sectors' centers, range by range.
 std::array<float, 2 * PLACES> places() {
     std::array<float, 2 * PLACES> xy;
     for (std::size_t n = 0; n < PLACES; ++n) {
@@ -26,10 +26,10 @@ std::array<float, 2 * PLACES> places() {
     return xy;
 }
 
-MULTIVERSION void raise_to(const float* slope, float more, float* most) {
+MULTIVERSION void raise_to(const float* slope, float more, float* max_slope) {
     for (std::size_t s = 0; s < GROUND_SECTORS; ++s) {
         const float raised = slope[s] + more;
-        most[s] = raised > most[s] ? raised : most[s];
+        max_slope[s] = raised > max_slope[s] ? raised : max_slope[s];
     }
 }
 
@@ -55,7 +55,7 @@ void find_polar_ground(const Ground& ground, float sensor_height_m, double top_m
 float meet_ground(const PolarGround& polar, std::size_t sector, float slope, std::size_t& at) {
     const auto steepest = [&](std::size_t k) { return polar.steepest[k][sector]; };
     if (!(steepest(GROUND_RANGES - 1) >= slope)) return std::numeric_limits<float>::infinity();
-    // The first range from which on the ground is as steep: it ascends.
+    // Search for the first range with ground this steep: `steepest` ascends.
     std::size_t k = std::min(at, GROUND_RANGES - 1);
     while (k > 0 && steepest(k - 1) >= slope) --k;
     while (k + 1 < GROUND_RANGES && steepest(k) < slope) ++k;

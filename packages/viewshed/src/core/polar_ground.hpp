@@ -1,4 +1,4 @@
-// The ground as a sensor sees it: slopes by azimuth and range.
+// Ground in polar coordinates around the sensor: slopes by azimuth and range.
 #pragma once
 
 #include <array>
@@ -10,30 +10,30 @@
 
 namespace viewshed {
 
-// Sectors of azimuth in which the local ground is looked up, and ranges from 1 m to 128 m in equal ratios.
+// Azimuth sectors and ranges of the lookup; ranges go from 1 m to 128 m in equal ratios.
 constexpr std::size_t GROUND_SECTORS = 128, GROUND_RANGES = 113;
 
-// Range by range, so that a loop over sectors vectorizes.
+// Stored range by range, so that a loop over sectors vectorizes.
 struct PolarGround {
     std::array<double, GROUND_RANGES> range_m;
-    // The steepest slope from the sensor to the ground up to each range.
+    // Steepest slope from the sensor to the ground up to each range.
     std::array<std::array<float, GROUND_SECTORS>, GROUND_RANGES> steepest;
-    // The steepest slope to the top of a target, wherever it stands.
+    // Steepest slope to the top of a target at any range.
     std::array<float, GROUND_SECTORS> top;
 };
 
-// The sector of an azimuth.
+// Return the sector of an azimuth in radians.
 inline std::size_t ground_sector(float azimuth) {
     constexpr float per_rad = float(GROUND_SECTORS / (2 * std::numbers::pi));
     const int s = int((azimuth + PI) * per_rad);
     return std::size_t(s < 0 ? 0 : (s < int(GROUND_SECTORS) ? s : int(GROUND_SECTORS) - 1));
 }
 
-// Write the ground as seen from a sensor at this height, and the tops of targets of height top_m.
+// Write the polar ground for a sensor height, and the slopes of the tops of targets of height top_m.
 void find_polar_ground(const Ground& ground, float sensor_height_m, double top_m, PolarGround& polar);
 
-// The range at which a beam first meets the ground, between its ranges linearly; +inf where it does not. `at` is the
-// range that answered the beam before, which is beside it: the search begins there.
+// Return the range at which a beam first meets the ground, linear between ranges; +inf if it never does. `at` is the
+// range index of the neighboring beam before, where the search starts; it is updated.
 float meet_ground(const PolarGround& polar, std::size_t sector, float slope, std::size_t& at);
 
 }  // namespace viewshed

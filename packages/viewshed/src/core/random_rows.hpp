@@ -1,4 +1,4 @@
-// Rows of a cloud drawn at random, by a fixed seed: a sample of which the order of the points does not matter.
+// Random rows of a cloud with a fixed seed: a sample that the order of the points does not bias.
 #pragma once
 
 #include <cstddef>
@@ -8,11 +8,10 @@
 
 namespace viewshed {
 
-// The numbers of numpy's default_rng(0) (PCG64, O'Neill 2014, and Lemire's bounded integers), so that samples are the
-// same in Python and here.
+// Reimplements numpy's default_rng(0) (PCG64, O'Neill 2014; Lemire's bounded integers): the same samples as in Python.
 class RandomNumbers {
 public:
-    // A number in [0, count), of at most 32 bits.
+    // Return a random number in [0, count).
     std::uint32_t below(std::uint32_t count) {
         std::uint64_t product = std::uint64_t(next()) * count;
         if (std::uint32_t(product) < count) {
@@ -26,7 +25,7 @@ private:
     __extension__ using Wide = unsigned __int128;
     static constexpr Wide wide(std::uint64_t high, std::uint64_t low) { return Wide(high) << 64 | low; }
 
-    // 32 bits: the lower half of a step, then its upper half.
+    // Return 32 bits: the lower half of a step, then its upper half.
     std::uint32_t next() {
         has_half_ = !has_half_;
         if (!has_half_) return half_;
@@ -43,7 +42,7 @@ private:
     bool has_half_ = false;
 };
 
-// `size` rows of a cloud of `count` returns; a row may come twice.
+// Return `size` random rows of a cloud of `count` returns, with replacement.
 inline std::vector<std::uint32_t> random_rows(std::size_t count, std::size_t size) {
     RandomNumbers numbers;
     std::vector<std::uint32_t> rows(size);
@@ -51,7 +50,7 @@ inline std::vector<std::uint32_t> random_rows(std::size_t count, std::size_t siz
     return rows;
 }
 
-// All rows of a cloud of `count` returns in random order.
+// Return all rows of a cloud of `count` returns, shuffled.
 inline std::vector<std::uint32_t> shuffled_rows(std::size_t count) {
     RandomNumbers numbers;
     std::vector<std::uint32_t> rows(count);

@@ -1,5 +1,5 @@
-// A binary range coder whose probabilities adapt: what a model has seen often costs little. Encoder and decoder offer the
-// same `bit`, so that one walk through the data, compiled for either, both writes and reads it.
+// Adaptive binary range coder. Encoder and decoder share the `bit` interface, so that one template, compiled for
+// either, both writes and reads the data.
 #pragma once
 
 #include <array>
@@ -12,7 +12,7 @@
 
 namespace viewshed {
 
-// What one kind of decision has been so far: the probability of true as a share of 2^16, and how many were seen.
+// Model of one kind of decision: the probability of true in units of 2^-16, and the number of decisions seen.
 struct BitModel {
     std::uint16_t probability = 1 << 15;
     std::uint16_t seen = 0;
@@ -20,17 +20,17 @@ struct BitModel {
 
 namespace coder {
 
-// After this number of decisions a model forgets the oldest at a constant rate.
+// After this number of decisions a model adapts at a constant rate.
 constexpr std::uint16_t MOST_SEEN = 24;
 
-// By how much of the way, in 2^-16, the next decision moves a model, by the number of decisions that it has seen.
+// Adaptation rate in units of 2^-16, by the number of decisions seen.
 constexpr auto RATE = [] {
     std::array<std::int32_t, MOST_SEEN + 1> rate{};
     for (int seen = 0; seen <= MOST_SEEN; ++seen) rate[seen] = std::int32_t(65536.0 / (seen + 2.5));
     return rate;
 }();
 
-// No decision is ever held for impossible: probabilities stay in [SMALLEST, 65536 - SMALLEST] / 65536.
+// Probabilities stay in [SMALLEST, 65536 - SMALLEST] / 65536, so that no decision is impossible.
 constexpr std::int32_t SMALLEST = 32;
 
 INLINE void learn(BitModel& model, bool bit) {
@@ -39,10 +39,10 @@ INLINE void learn(BitModel& model, bool bit) {
     model.seen = std::uint16_t(model.seen + (model.seen < MOST_SEEN));
 }
 
-// The range is kept above this; words of 32 bits enter and leave.
+// The range stays above this; data moves in 32-bit words.
 constexpr std::uint64_t LEAST_RANGE = 1ull << 32;
 
-// The number in [low, low + range), modulo 2^64, with the most zeros at its end: a code ends with it.
+// Return the number in [low, low + range), modulo 2^64, with the most trailing zeros: it ends a code.
 inline std::uint64_t shortest(std::uint64_t low, std::uint64_t range) {
     for (int zeros = 63; zeros > 0; --zeros) {
         const std::uint64_t step = 1ull << zeros, number = (low + (step - 1)) & ~(step - 1);
@@ -53,7 +53,7 @@ inline std::uint64_t shortest(std::uint64_t low, std::uint64_t range) {
 
 }  // namespace coder
 
-// Writes decisions; `finish` ends the code.
+// Encodes decisions; `finish` returns the code.
 class RangeEncoder {
 public:
     static constexpr bool DECODES = false;
@@ -65,7 +65,7 @@ public:
         return value;
     }
 
-    // `count` bits of equal probability, the highest first.
+    // Encode `count` equiprobable bits, the highest first.
     std::uint32_t plain(std::uint32_t value, int count) {
         for (int k = count - 1; k >= 0; --k) narrow((value >> k) & 1, range_ >> 1);
         return value;
@@ -74,7 +74,7 @@ public:
     std::size_t decisions() const { return decisions_; }
     bool failed() const { return false; }
 
-    // The shortest code that a decoder, which reads zeros behind the end, takes for the same decisions.
+    // Return the shortest code of these decisions; a decoder reads zeros beyond its end.
     std::vector<std::uint8_t> finish() {
         const std::uint64_t last = coder::shortest(low_, range_);
         if (last < low_) carry();
@@ -114,8 +114,7 @@ private:
     std::vector<std::uint8_t> bytes_;
 };
 
-// Reads what an encoder wrote. Any bytes give decisions; `failed` says that they cannot be a code, `ended` whether it was
-// all of it.
+// Decodes decisions. Any bytes give decisions: `failed` tells invalid codes, `ended` complete ones.
 class RangeDecoder {
 public:
     static constexpr bool DECODES = true;
@@ -146,10 +145,10 @@ public:
 
     std::size_t decisions() const { return decisions_; }
 
-    // Whether more was read than the code and the zeros behind it.
+    // Check if more was read than the code and the zeros beyond it.
     bool failed() const { return at_ > bytes_.size + AHEAD; }
 
-    // Whether the code ends here, as an encoder ends it: no other bytes stand for the same decisions.
+    // Check that the code ends here exactly as an encoder ends it, so that codes are unique.
     bool ended() const {
         if (failed() || at_ < bytes_.size) return false;
         std::uint64_t last = 0;
@@ -175,7 +174,7 @@ private:
     }
     std::uint32_t byte(std::size_t k) const { return k < bytes_.size ? bytes_[k] : 0u; }
 
-    // What is read before it decides anything.
+    // Bytes read ahead.
     static constexpr std::size_t AHEAD = 8;
 
     View1<const std::uint8_t> bytes_;

@@ -14,24 +14,23 @@
 namespace viewshed {
 namespace {
 
-// A column that returned from less than this share of the usual number of rings did not fire, or hardly.
+// A column with returns in less than this share of the median number of rings is silent.
 constexpr double AWAKE_SHARE = 0.5;
 
-// A ring with at least this share of its columns' returns is full; the median of these may have no more than the second
-// share. A few rings with points added do not matter.
+// A ring is full if it has at least the first share of one return per column. The median of the full rings may have at
+// most the second share, so a few rings with added points do not matter.
 constexpr double FULL_RING = 0.9, FULLEST_RING = 1.05;
 
-// The phase of a ring is found from a histogram of PHASES bins, so that the order of the points does not matter.
+// Bins of the phase histogram; a histogram makes the phase independent of the order of the points.
 constexpr int PHASES = 16;
 
-// The largest image that is accepted.
+// Size limits of an image.
 constexpr std::size_t MOST_RINGS = 4096, MOST_COLUMNS = 65536;
 
-// Points of a part that is worth a thread.
+// Fewest points for which a part pays for its thread.
 constexpr std::size_t PART = 8192;
 
-// Write where each point lies around the turn, in columns from 0, in which bin of phase, and its squared distance, -1
-// where that is not used.
+// Write the azimuth of each point in columns from 0, its phase bin, and its squared distance, -1 if out of range.
 MULTIVERSION void place_block(const float* points, std::size_t count, float per_rad, float near2, float far2,
                               float* position, std::int32_t* phase, float* squared_m2) {
     float x[BLOCK], y[BLOCK];
@@ -43,12 +42,12 @@ MULTIVERSION void place_block(const float* points, std::size_t count, float per_
     }
     for (std::size_t k = 0; k < count; ++k) {
         const float columns = (azimuth_of(y[k], x[k]) + PI) * per_rad;
-        position[k] = columns >= 0.0f ? columns : 0.0f;  // no number is in no direction
+        position[k] = columns >= 0.0f ? columns : 0.0f;  // NaN becomes 0
     }
     for (std::size_t k = 0; k < count; ++k) phase[k] = std::int32_t(position[k] * float(PHASES)) % PHASES;
 }
 
-// The circular mean of a histogram over [0, 1).
+// Return the circular mean of a histogram over [0, 1).
 float circular_mean(const std::int32_t* histogram) {
     double x = 0.0, y = 0.0;
     for (int p = 0; p < PHASES; ++p) {
@@ -61,7 +60,7 @@ float circular_mean(const std::int32_t* histogram) {
     return float(mean < 0.0 ? mean + 1.0 : mean);
 }
 
-// Whether the full rings hold about one return a column: the sensor fires as often as the image assumes.
+// Check that full rings hold about one return per column: the sensor fires as often as the image assumes.
 bool are_rings_full(std::vector<std::int64_t> sizes, std::size_t columns) {
     std::erase_if(sizes, [&](std::int64_t size) { return double(size) < FULL_RING * double(columns); });
     std::sort(sizes.begin(), sizes.end());
@@ -70,7 +69,7 @@ bool are_rings_full(std::vector<std::int64_t> sizes, std::size_t columns) {
     return median <= FULLEST_RING * double(columns);
 }
 
-// The pixels of some of the points: how many returns each has, and the least squared distance of those that are used.
+// Return counts and least squared distances of the pixels, from some of the points.
 struct Pixels {
     Pixels(std::size_t size) : counts(size), nearest_m2(size) {
         std::fill(counts.begin(), counts.end(), std::uint8_t{0});
@@ -81,8 +80,8 @@ struct Pixels {
     Buffer<float> nearest_m2;
 };
 
-// Write the column of each point, -1 without a ring, and fill its pixel. first (rings,) is added to its place around the turn;
-// the sum is at most two turns too large, and subtracting them is faster than a division.
+// Write the column of each point, -1 without a ring, and fill its pixel. The position plus first (rings,) is at most
+// two turns too large; subtracting turns is faster than a modulo.
 void fill_pixels(const std::int16_t* __restrict ring, const float* __restrict position, const float* __restrict first,
                  std::size_t begin, std::size_t end, std::int32_t turn, float* __restrict squared_m2,
                  std::int32_t* __restrict column, std::uint8_t* __restrict counts, float* __restrict nearest_m2) {
@@ -105,7 +104,7 @@ void fill_pixels(const std::int16_t* __restrict ring, const float* __restrict po
     }
 }
 
-// Add the pixels of other points.
+// Merge the pixels of other points.
 MULTIVERSION void add_pixels(const std::uint8_t* counts, const float* nearest_m2, std::size_t size,
                              std::uint8_t* all_counts, float* all_nearest_m2) {
     for (std::size_t k = 0; k < size; ++k) {
@@ -115,7 +114,7 @@ MULTIVERSION void add_pixels(const std::uint8_t* counts, const float* nearest_m2
     }
 }
 
-// The nearest return of each pixel, of the points that have one.
+// Write the nearest return of each pixel, over the points that have one.
 void find_nearest(View1<const std::int16_t> ring, View1<const std::int32_t> column, View1<float> squared_m2,
                   View2<float> nearest_m2) {
     std::fill_n(nearest_m2.data, nearest_m2.size(), std::numeric_limits<float>::infinity());
@@ -137,7 +136,7 @@ RangeImage range_image(View2<const float> points, View1<const std::int16_t> ring
                      std::nullopt,    false};
     Buffer<float> position(count), squared_m2(count);
 
-    // 1. Azimuth in columns and squared distance of each return; how the returns of each ring lie within their columns.
+    // 1. Azimuth in columns and squared distance of each return; phase histogram of each ring.
     const std::size_t parts = count_parts(count, PART);
     std::vector<std::vector<std::int32_t>> phases(parts, std::vector<std::int32_t>(rings * PHASES, 0));
     for_ranges(count, parts, [&](std::size_t part, std::size_t begin, std::size_t end) {
@@ -154,16 +153,15 @@ RangeImage range_image(View2<const float> points, View1<const std::int16_t> ring
     std::vector<std::int64_t> ring_sizes(rings, 0);
     for (std::size_t r = 0; r < rings; ++r) {
         std::array<std::int32_t, PHASES> histogram{};
-        for (const auto& of_part : phases) {
-            for (int p = 0; p < PHASES; ++p) histogram[p] += of_part[r * PHASES + p];
+        for (const auto& histograms : phases) {
+            for (int p = 0; p < PHASES; ++p) histogram[p] += histograms[r * PHASES + p];
         }
         for (const std::int32_t size : histogram) ring_sizes[r] += size;
         image.phase[r] = circular_mean(histogram.data());
     }
     image.has_full_rings = are_rings_full(ring_sizes, columns);
 
-    // 2. The pixel of each return. A column reaches half a step to either side of its firing: + 0.5 - phase, and one turn
-    //    so that it is not negative.
+    // 2. The pixel of each return. A column reaches half a step around its firing: + 0.5 - phase, plus one turn.
     const auto turn = std::int32_t(columns);
     std::vector<Pixels> pixels_of;
     for (std::size_t part = 0; part < parts; ++part) pixels_of.emplace_back(pixels);
@@ -180,15 +178,16 @@ RangeImage range_image(View2<const float> points, View1<const std::int16_t> ring
     image.counts = std::move(pixels_of[0].counts);
     image.nearest_m2 = std::move(pixels_of[0].nearest_m2);
 
-    // 3. The isolated returns: no pixel around has a similar range.
+    // 3. Isolated returns: no neighboring pixel has a similar range.
     const auto find_isolated = [&] {
         find_isolated_returns(ring, image.column, squared_m2, {image.nearest_m2.data(), rings, columns},
                               silent_columns({image.counts.data(), rings, columns}), image.isolated, image.behind);
     };
     find_isolated();
 
-    // 4. Where many are isolated, chance makes random returns similar. What too few around confirm is clutter and leaves
-    //    the image; then isolated returns are found again.
+    // 4. With many isolated returns, random returns look similar by chance. Returns that too few neighbors confirm are
+    // clutter
+    //    and leave the image; then isolated returns are determined again.
     if (is_cluttered(image.isolated)) {
         Buffer<bool> clutter(count);
         find_clutter(ring, image.column, squared_m2, {image.nearest_m2.data(), rings, columns}, image.isolated, near_m,
@@ -207,15 +206,15 @@ Buffer<bool> silent_columns(View2<const std::uint8_t> counts) {
     for (std::size_t r = 0; r < counts.rows; ++r) {
         for (std::size_t c = 0; c < counts.columns; ++c) rings[c] += counts(r, c) > 0;
     }
-    std::vector<std::int32_t> some;
-    std::copy_if(rings.begin(), rings.end(), std::back_inserter(some), [](std::int32_t n) { return n > 0; });
-    double least = 0.0;
-    if (!some.empty()) {
-        std::nth_element(some.begin(), some.begin() + std::ptrdiff_t(some.size() / 2), some.end());
-        least = AWAKE_SHARE * some[some.size() / 2];
+    std::vector<std::int32_t> nonempty;
+    std::copy_if(rings.begin(), rings.end(), std::back_inserter(nonempty), [](std::int32_t n) { return n > 0; });
+    double min_rings = 0.0;
+    if (!nonempty.empty()) {
+        std::nth_element(nonempty.begin(), nonempty.begin() + std::ptrdiff_t(nonempty.size() / 2), nonempty.end());
+        min_rings = AWAKE_SHARE * nonempty[nonempty.size() / 2];
     }
     Buffer<bool> silent(counts.columns);
-    for (std::size_t c = 0; c < counts.columns; ++c) silent[c] = rings[c] == 0 || rings[c] < least;
+    for (std::size_t c = 0; c < counts.columns; ++c) silent[c] = rings[c] == 0 || rings[c] < min_rings;
     return silent;
 }
 

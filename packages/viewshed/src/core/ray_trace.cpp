@@ -16,7 +16,7 @@ namespace {
 constexpr double TURN = 2.0 * std::numbers::pi;
 constexpr float NO_RETURN = -1.0f;
 
-// Returns, and cells, of a part that is worth a thread.
+// Fewest returns or cells for which a part pays for its thread.
 constexpr std::size_t PART = 16384;
 
 enum State : std::uint8_t { HIDDEN, VISIBLE, IN_DOUBT };
@@ -26,7 +26,7 @@ MULTIVERSION void find_slices(const float* azimuth, std::size_t count, std::size
     for (std::size_t n = 0; n < count; ++n) slice[n] = std::int16_t(azimuth_bin(azimuth[n], per_rad, last));
 }
 
-// The values (slices,) with `reach` more on either side, around the circle; at most as many as there are.
+// Pad values (slices,) by `reach` on either side around the circle, at most their number.
 std::vector<float> with_ends(const float* values, std::size_t slices, std::size_t reach) {
     std::vector<float> around(values + slices - reach, values + slices);
     around.insert(around.end(), values, values + slices);
@@ -42,14 +42,14 @@ MULTIVERSION void lower_to(const float* values, std::size_t count, float* minima
     for (std::size_t s = 0; s < count; ++s) minima[s] = values[s] < minima[s] ? values[s] : minima[s];
 }
 
-// The greatest of the values up to `reach` slices away, around the circle.
+// Write the maximum over the slices within `reach`, around the circle.
 void find_sliding_maxima(const float* values, std::size_t slices, std::size_t reach, float* maxima) {
     const std::vector<float> around = with_ends(values, slices, reach);
     std::copy_n(around.data(), slices, maxima);
     for (std::size_t offset = 1; offset <= 2 * reach; ++offset) raise_to(around.data() + offset, slices, maxima);
 }
 
-// The greatest range r in float32 with r - margin_m <= reached_m in double; -1 where nothing was reached.
+// Return the greatest float32 range r with r - margin_m <= reached_m in double; -1 if nothing was reached.
 float limit_of(float reached_m, double margin_m) {
     const float far = std::numeric_limits<float>::infinity();
     if (!(reached_m >= 0.0f)) return NO_RETURN;
@@ -60,7 +60,7 @@ float limit_of(float reached_m, double margin_m) {
     return limit_m;
 }
 
-// What is compared becomes vectors, what is looked up does not.
+// The comparison vectorizes, look-ups do not.
 MULTIVERSION void compare(const float* range_m, const float* inner_m, const float* outer_m, std::size_t count,
                           std::uint8_t* state) {
     for (std::size_t k = 0; k < count; ++k) {
@@ -69,13 +69,13 @@ MULTIVERSION void compare(const float* range_m, const float* inner_m, const floa
     }
 }
 
-// Returns that may decide a cell in doubt, by slice: those of slice s are [start[s], start[s + 1]).
+// Returns that may decide a doubtful cell, by slice: those of slice s are [start[s], start[s + 1]).
 struct Candidates {
     std::vector<std::uint32_t> start;
     std::vector<float> azimuth, range_m;
 };
 
-// Sort the returns by slice (M,) that lie farther than what their slice's limit (slices,) says.
+// Collect the returns (M,) beyond their slice's limit (slices,), sorted by slice.
 Candidates find_candidates(View1<const float> azimuth, View1<const float> range_m, View1<const std::int16_t> slice,
                            View1<const float> least_m) {
     const std::size_t parts = count_parts(azimuth.size, PART);
@@ -103,7 +103,7 @@ Candidates find_candidates(View1<const float> azimuth, View1<const float> range_
     return found;
 }
 
-// Whether a candidate at either end of a cell's window lies in it, and far enough.
+// Check if a candidate at either end of a cell's window lies within it, and far enough.
 bool is_reached(const Candidates& candidates, float azimuth, double need_m, std::size_t slice, std::size_t whole,
                 double window) {
     const std::size_t slices = candidates.start.size() - 1;
@@ -125,7 +125,7 @@ std::size_t whole_slices(std::size_t slices, double window) { return std::size_t
 void trace_windows(View1<const float> azimuth, View1<const float> range_m, std::size_t slices, double window,
                    double margin_m, const PolarCells& cells, View1<float> visible) {
     const std::size_t count = azimuth.size, whole = whole_slices(slices, window);
-    // 1. The farthest return of each slice.
+    // 1. Find the farthest return of each slice.
     Buffer<std::int16_t> slice(count);
     const std::size_t parts = count_parts(count, PART);
     Buffer<float> farthest_m(parts * slices, NO_RETURN);
@@ -135,11 +135,11 @@ void trace_windows(View1<const float> azimuth, View1<const float> range_m, std::
         for (std::size_t n = begin; n < end; ++n) far[slice[n]] = std::max(far[slice[n]], range_m[n]);
     });
     for (std::size_t part = 1; part < parts; ++part) raise_to(&farthest_m[part * slices], slices, farthest_m.data());
-    // 2. Every return of the inner slices of a window lies within it, and none beyond the outer ones does.
+    // 2. All returns of the inner slices lie within a window, and none beyond the outer slices does.
     Buffer<float> inner_m(slices), outer_m(slices);
     find_sliding_maxima(farthest_m.data(), slices, whole - 1, inner_m.data());
     find_sliding_maxima(farthest_m.data(), slices, whole + END_SLICES - 1, outer_m.data());
-    // 3. Of the other returns only those matter that lie farther than the inner ones of a window at whose end they are.
+    // 3. Other returns matter only if they are farther than the inner maximum of a window at whose end they lie.
     Buffer<float> least_m(slices, std::numeric_limits<float>::infinity());
     const std::size_t reach = whole + END_SLICES - 1;
     const std::vector<float> around_m = with_ends(inner_m.data(), slices, reach);
@@ -148,7 +148,7 @@ void trace_windows(View1<const float> azimuth, View1<const float> range_m, std::
         lower_to(&around_m[reach + offset], slices, least_m.data());
     }
     const Candidates candidates = find_candidates(azimuth, range_m, slice, least_m);
-    // 4. Decide cells by whole slices where they agree, and by candidates where they do not.
+    // 4. Decide cells by whole slices if inner and outer agree, else by candidates.
     for (std::size_t s = 0; s < slices; ++s) inner_m[s] = limit_of(inner_m[s], margin_m);
     for (std::size_t s = 0; s < slices; ++s) outer_m[s] = limit_of(outer_m[s], margin_m);
     for_ranges(visible.size, count_parts(visible.size, PART), [&](std::size_t, std::size_t begin, std::size_t end) {

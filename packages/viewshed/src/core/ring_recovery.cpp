@@ -19,78 +19,76 @@ namespace {
 constexpr float TURN = 2 * PI;
 constexpr double UNKNOWN = std::numeric_limits<double>::quiet_NaN();
 
-// Azimuths jitter across the seam by at most BACK radians, for fewer than SOON points.
+// Azimuths jitter across the seam by at most BACK radians, within SOON points after it.
 constexpr float BACK = 0.35f;
 constexpr std::size_t SOON = 8;
 
-// A step of the azimuth against its sense, in radians; rings are stored one after the other if no more steps than this
-// share are such.
+// A step of the azimuth against its direction, in radians; its largest share for points that are stored ring by ring.
 constexpr float BACKWARD = 0.003f;
-constexpr double MOST_BACKWARD = 0.03;
+constexpr double MAX_BACKWARD = 0.03;
 
-// Fewer rings do not show in the order, and more are noise.
+// Limits of the number of rings; more than that are noise.
 constexpr std::size_t FEWEST_RINGS = 4, MOST_RINGS = 4096;
 
-// First and last rings of less than this share of the others' size are joined to their neighbor.
+// First and last rings smaller than this share of the average ring are merged into their neighbor.
 constexpr double STRAY_RING = 0.01;
 
-// The slope changes from one ring to the next between returns that lie so far before and after the seam: a ring may begin one
-// or two returns beside it.
+// Distance in returns from the seam at which the slope is compared: a ring may begin one or two returns off.
 constexpr std::size_t BESIDE = 2;
 
-// From a ring to the next one the slope nearly always rises, or nearly always falls: at their seams, and in the median.
+// Required share of steps in one direction (slope rises, or falls) between rings: at their seams, and by medians.
 constexpr double ONE_WAY_AT_SEAMS = 0.7, ONE_WAY = 0.9;
 
-// A smaller change of slope is none: rounding, where a ring was cut in two.
-constexpr double LEAST_STEP = 1e-5;
+// Smaller slope changes count as 0: rounding where a ring was cut in two.
+constexpr double MIN_STEP = 1e-5;
 
-// About this number of returns of a ring, evenly spread, give its median slope.
+// Returns sampled evenly from a ring for its median slope.
 constexpr std::size_t RETURNS_OF_RING = 256;
 
-// Median slopes of rings go from the first to the last in at most this much of the way between these.
-constexpr double MOST_WAY = 1.5;
+// Largest ratio of the path of the median slopes over rings to the distance from first to last.
+constexpr double MAX_PATH = 1.5;
 
-// Rings that follow from the order of the points are taken at once where they change by less than this share of a step.
-constexpr double LITTLE = 0.3;
+// Accept rings at once if the slope changes within them by less than this share of a step.
+constexpr double SMALL_CHANGE = 0.3;
 
-// Points of a part that is worth a thread.
+// Fewest points for which a part pays for its thread.
 constexpr std::size_t PART = 16384;
 
-// Columns of a revolution where neither the points nor a model tell, and elevation bins of a cloud without beams.
+// Default columns of a revolution, and number of elevation bins for a cloud without beams.
 constexpr std::size_t DEFAULT_COLUMNS = 1024, PSEUDO_RINGS = 64;
 
-// Columns are measured in the fullest rings, by gaps between 3 and 300 bins of 0.01°; fewer gaps do not tell them.
+// Columns are measured in the fullest rings, by gaps between 3 and 300 bins of 0.01°; FEWEST_GAPS are required.
 constexpr std::size_t SAMPLED_RINGS = 6, FEWEST_GAPS = 16;
 constexpr double GAP_BIN = 0.01 * std::numbers::pi / 180, LEAST_BINS = 3, MOST_BINS = 300;
 constexpr long FEWEST_COLUMNS = 4, MOST_COLUMNS = 36'000;
 
-// A model knows the step within 5 %; irregular firing has gaps 1.3 times as wide, which hold 90 % of the angle.
+// A step within 5 % of the model's is accepted. Irregular firing has gaps over 1.3 steps, over 90 % of the angle.
 constexpr double STEP_KNOWN = 0.05, IRREGULAR = 1.3, COVERED = 0.9;
 
-// Points of one ring, one after the other: up to the next run.
+// A run of consecutive points of one ring, up to the next run.
 struct Run {
     std::size_t start;
     std::int32_t ring;
 };
 
-// The rings counted from the wraps of the azimuth.
+// Rings counted by wraps of the azimuth.
 struct Order {
     std::vector<Run> runs;
     std::size_t rings = 0;
-    double one_way = 0.0;  // share of the wraps at which the slope rises, or falls if these are more
+    double one_way = 0.0;  // share of wraps with rising slope, or falling if more
 };
 
-// Of the step to a point: it passes the seam, or goes back over it.
+// Flags of the step to a point: it crosses the seam forward, or back.
 constexpr std::uint8_t WRAPS = 1, GOES_BACK = 2;
 
-// The angle of a point around the turn, past `start` in a sense.
+// Return the azimuth of a point past `start` in a direction of rotation, in [0, 2π).
 INLINE float angle_past(float x, float y, float start, float sense) {
     const float a = sense * (azimuth_of(y, x) - start);
     return a < 0.0f ? a + TURN : a;
 }
 
-// Mark the steps of a block of points (count, 3) that begin a ring, or go back to the one before, and count those against
-// the sense. The angle before the block is given.
+// Mark the steps of points (count, 3) that cross the seam; return the number of backward steps. `before` is the angle
+// before.
 MULTIVERSION std::size_t mark_steps(const float* points, std::size_t count, float start, float sense, float before,
                                     std::uint8_t* marked) {
     float x[BLOCK], y[BLOCK], angle[BLOCK + 1];
@@ -109,15 +107,15 @@ MULTIVERSION std::size_t mark_steps(const float* points, std::size_t count, floa
     return std::size_t(backward);
 }
 
-// Count rings from the wraps of the azimuth past `start` in a sense; none if steps against it are many.
+// Count rings by wraps of the azimuth past `start` in a direction of rotation; none if too many steps go backward.
 //
-// A step back over `start` soon after a wrap takes the wrap back. Stray first and last rings are joined to their neighbor.
+// A step back over `start` soon after a wrap reverts the wrap. Stray first and last rings are merged.
 Order order_rings(View2<const float> points, float start, float sense) {
     const std::size_t count = points.rows;
     Order order;
-    // 1. Mark the steps, block by block. Where those against the sense are many already, it is not looked further.
+    // 1. Mark the steps, block by block. Stop early if too many go backward.
     const std::size_t blocks = (count + BLOCK - 1) / BLOCK, parts = count_parts(count, PART);
-    const auto too_many = [&](std::size_t backward) { return double(backward) > MOST_BACKWARD * double(count); };
+    const auto too_many = [&](std::size_t backward) { return double(backward) > MAX_BACKWARD * double(count); };
     Buffer<std::uint8_t> marked((count + 7) / 8 * 8);
     std::fill(marked.begin() + count, marked.end(), std::uint8_t{0});
     std::vector<std::size_t> backward(parts, 0);
@@ -130,7 +128,7 @@ Order order_rings(View2<const float> points, float start, float sense) {
         }
     });
     if (too_many(std::accumulate(backward.begin(), backward.end(), std::size_t{0}))) return {};
-    // 2. Follow them; most blocks of eight points hold no wrap.
+    // 2. Follow the marks; most blocks of eight points have none.
     std::size_t last_start = 0;
     std::int32_t wraps = 0, rising = 0, falling = 0;
     double last = 0.0;
@@ -149,13 +147,13 @@ Order order_rings(View2<const float> points, float start, float sense) {
             if (marked[n] == WRAPS) {
                 ++wraps;
                 last = change_over(n);
-                rising += last > LEAST_STEP;
-                falling += last < -LEAST_STEP;
+                rising += last > MIN_STEP;
+                falling += last < -MIN_STEP;
                 last_start = n;
             } else if (wraps > 0 && n - last_start < SOON) {
                 --wraps;
-                rising -= last > LEAST_STEP;
-                falling -= last < -LEAST_STEP;
+                rising -= last > MIN_STEP;
+                falling -= last < -MIN_STEP;
                 last = 0.0;
             } else {
                 continue;
@@ -165,7 +163,7 @@ Order order_rings(View2<const float> points, float start, float sense) {
         }
     }
     if (wraps > 0) order.one_way = double(std::max(rising, falling)) / wraps;
-    // 3. Join stray first and last rings. Points of a wrap that was taken back at the very end are of the last ring.
+    // 3. Merge stray first and last rings. Points after a reverted last wrap belong to the last ring.
     std::vector<std::size_t> sizes(std::size_t(wraps) + 1, 0);
     for (std::size_t k = 0; k < runs.size(); ++k) {
         runs[k].ring = std::min(runs[k].ring, wraps);
@@ -181,16 +179,16 @@ Order order_rings(View2<const float> points, float start, float sense) {
         for (Run& run : runs) run.ring = std::max(run.ring - 1, 0);
     }
     order.rings = std::size_t(wraps) + 1;
-    // 4. Runs of the same ring are one.
+    // 4. Merge runs of the same ring.
     runs.erase(std::unique(runs.begin(), runs.end(), [](const Run& a, const Run& b) { return a.ring == b.ring; }),
                runs.end());
     return order;
 }
 
-// The bits of a number as a whole number that is ordered as the numbers are, and back.
+// Map the bits of a float to an integer of the same order, and back.
 INLINE std::int32_t number_key(std::int32_t bits) { return bits ^ ((bits >> 31) & 0x7fffffff); }
 
-// Write the keys of numbers, the greatest for those that are none, and return how many are numbers.
+// Write the keys of floats, the greatest for NaN, and return how many are numbers.
 MULTIVERSION std::size_t order_keys(const float* values, std::size_t count, std::int32_t* key) {
     std::int32_t known = 0;
     for (std::size_t k = 0; k < count; ++k) {
@@ -217,7 +215,7 @@ MULTIVERSION std::size_t count_up_to(const std::int32_t* key, std::size_t count,
     return std::size_t(below);
 }
 
-// The median slopes (rings,) of ordered rings, by some of the returns of each.
+// Return the median slopes (rings,) of ordered rings, by a sample of each.
 std::vector<double> medians_in_order(const Order& order, View2<const float> points) {
     const std::size_t step = std::max<std::size_t>(points.rows / order.rings / RETURNS_OF_RING, 1);
     std::vector<std::vector<float>> of_ring(order.rings);
@@ -231,7 +229,7 @@ std::vector<double> medians_in_order(const Order& order, View2<const float> poin
     return medians;
 }
 
-// How much the slope changes, in the median run, from a quarter of its returns to three quarters.
+// Return the median over runs of the slope change between the first and third quarter of a run.
 double change_within(const Order& order, View2<const float> points) {
     std::vector<double> changes;
     for (std::size_t k = 0; k < order.runs.size(); ++k) {
@@ -242,7 +240,7 @@ double change_within(const Order& order, View2<const float> points) {
     return median_of(std::move(changes));
 }
 
-// The rings of each run, ascending.
+// Write the ring of each point, ascending with the slope.
 Rings fill_rings(const Order& order, std::size_t count, bool rising) {
     Rings rings{Buffer<std::int16_t>(count), order.rings};
     for (std::size_t k = 0; k < order.runs.size(); ++k) {
@@ -253,7 +251,7 @@ Rings fill_rings(const Order& order, std::size_t count, bool rising) {
     return rings;
 }
 
-// Returns by ring: the values of each, one ring after the other.
+// Rows of the returns, sorted by ring.
 class ByRing {
 public:
     ByRing(View1<const std::int16_t> ring, std::size_t rings) : starts_(rings + 1, 0) {
@@ -277,8 +275,8 @@ private:
     std::vector<std::uint32_t> rows_;
 };
 
-// Bins of elevation: the table's nearest beams, else bins with equally many returns each.
-Rings elevation_bins(const Directions& seen, const BeamTable* table) {
+// Assign elevation bins: the table's nearest beams, else bins with equally many returns.
+Rings elevation_bins(const Directions& directions, const BeamTable* table) {
     std::vector<double> edges;
     if (table != nullptr) {
         for (std::size_t k = 0; k + 1 < table->rings(); ++k) {
@@ -286,8 +284,8 @@ Rings elevation_bins(const Directions& seen, const BeamTable* table) {
         }
     } else {
         std::vector<float> ascending;
-        for (std::size_t n = 0; n < seen.size(); ++n) {
-            if (seen.range_m[n] > 0.0f) ascending.push_back(seen.slope[n]);
+        for (std::size_t n = 0; n < directions.size(); ++n) {
+            if (directions.range_m[n] > 0.0f) ascending.push_back(directions.slope[n]);
         }
         std::sort(ascending.begin(), ascending.end());
         for (std::size_t k = 1; k < PSEUDO_RINGS && !ascending.empty(); ++k) {
@@ -295,25 +293,25 @@ Rings elevation_bins(const Directions& seen, const BeamTable* table) {
         }
         edges.erase(std::unique(edges.begin(), edges.end()), edges.end());
     }
-    Rings rings{Buffer<std::int16_t>(seen.size()), edges.size() + 1};
-    for (std::size_t n = 0; n < seen.size(); ++n) {
-        const auto bin = std::upper_bound(edges.begin(), edges.end(), double(seen.slope[n])) - edges.begin();
-        rings.ring[n] = std::int16_t(seen.range_m[n] > 0.0f ? bin : -1);
+    Rings rings{Buffer<std::int16_t>(directions.size()), edges.size() + 1};
+    for (std::size_t n = 0; n < directions.size(); ++n) {
+        const auto bin = std::upper_bound(edges.begin(), edges.end(), double(directions.slope[n])) - edges.begin();
+        rings.ring[n] = std::int16_t(directions.range_m[n] > 0.0f ? bin : -1);
     }
     return rings;
 }
 
-// The azimuth step behind the gaps within rings (`own`) and in several rings taken together (`pooled`); NaN for too few.
+// Return the azimuth step from the gaps within rings (`own`) and in several rings together (`pooled`); NaN for too few.
 //
-// The mean of the gaps within a quarter of the most frequent one. Where firing is irregular (CARLA's overlaid revolutions
-// leave gaps in all rings at once) it is the gap that 90 % of the angle does not exceed, so that columns are not empty
-// between firings, unless the model knows the step within 5 %.
+// The step is the mean of the gaps within a quarter of the most frequent one. For irregular firing (CARLA's overlaid
+// revolutions leave gaps in all rings at once) it is the gap that covers 90 % of the angle, so that no columns stay
+// empty between firings, unless the model's step is within 5 %.
 double firing_step(std::vector<double> own, std::vector<double> pooled, const BeamTable* table) {
     for (std::vector<double>* gaps : {&own, &pooled}) {
         std::erase_if(*gaps, [](double gap) { return !(gap > LEAST_BINS * GAP_BIN && gap < MOST_BINS * GAP_BIN); });
     }
     if (own.size() < FEWEST_GAPS) return UNKNOWN;
-    // 1. The most frequent gap, and the mean of those like it.
+    // 1. Find the most frequent gap, and the mean of similar gaps.
     std::array<int, std::size_t(MOST_BINS) + 3> counts{};
     for (const double gap : own) ++counts[std::size_t(gap / GAP_BIN) + 1];
     std::size_t peak = 1;
@@ -344,26 +342,26 @@ double firing_step(std::vector<double> own, std::vector<double> pooled, const Be
     return step;
 }
 
-// The columns of a revolution: measured in the fullest rings, else the table's, else a usual number.
-std::size_t measure_columns(const Directions& seen, const Rings& rings, RingSource source, const BeamTable* table) {
+// Return the columns of a revolution: measured in the fullest rings, else the table's, else the default.
+std::size_t measure_columns(const Directions& directions, const Rings& rings, RingSource source, const BeamTable* table) {
     const std::size_t fallback = table != nullptr ? std::size_t(table->columns) : DEFAULT_COLUMNS;
     if (source == RingSource::ELEVATION_BINS) return fallback;
-    // 1. The azimuths of the fullest rings.
+    // 1. Collect the azimuths of the fullest rings.
     std::vector<std::size_t> sizes(rings.count, 0), fullest(rings.count);
-    const auto is_used = [&](std::size_t n) { return rings.ring[n] >= 0 && seen.range_m[n] > NEAR_M; };
-    for (std::size_t n = 0; n < seen.size(); ++n) {
+    const auto is_used = [&](std::size_t n) { return rings.ring[n] >= 0 && directions.range_m[n] > NEAR_M; };
+    for (std::size_t n = 0; n < directions.size(); ++n) {
         if (is_used(n)) ++sizes[std::size_t(rings.ring[n])];
     }
     std::iota(fullest.begin(), fullest.end(), std::size_t{0});
     std::stable_sort(fullest.begin(), fullest.end(), [&](auto a, auto b) { return sizes[a] > sizes[b]; });
     fullest.resize(std::min(fullest.size(), SAMPLED_RINGS));
     std::vector<std::vector<double>> sampled(fullest.size());
-    for (std::size_t n = 0; n < seen.size(); ++n) {
+    for (std::size_t n = 0; n < directions.size(); ++n) {
         if (!is_used(n)) continue;
         const auto place = std::find(fullest.begin(), fullest.end(), std::size_t(rings.ring[n])) - fullest.begin();
-        if (place < std::ptrdiff_t(fullest.size())) sampled[std::size_t(place)].push_back(seen.azimuth[n]);
+        if (place < std::ptrdiff_t(fullest.size())) sampled[std::size_t(place)].push_back(directions.azimuth[n]);
     }
-    // 2. Gaps within each, and in all together.
+    // 2. Collect gaps within each ring, and in all together.
     std::vector<double> own, all, pooled;
     const auto add_gaps = [](std::vector<double>& azimuths, std::vector<double>& gaps) {
         std::sort(azimuths.begin(), azimuths.end());
@@ -379,8 +377,8 @@ std::size_t measure_columns(const Directions& seen, const Rings& rings, RingSour
     return std::size_t(std::clamp(std::lrint(2 * std::numbers::pi / step), FEWEST_COLUMNS, MOST_COLUMNS));
 }
 
-// The median elevations (rings,); the table's, or interpolated, where a ring has no return beyond 1 m.
-Buffer<double> median_elevations(const Directions& seen, const Rings& rings, const BeamTable* table) {
+// Return the median elevations (rings,); the table's, or interpolated, for rings without a return beyond 1 m.
+Buffer<double> median_elevations(const Directions& directions, const Rings& rings, const BeamTable* table) {
     const ByRing by_ring(rings.ring, rings.count);
     Buffer<double> elevation(rings.count);
     std::vector<std::size_t> known;
@@ -388,7 +386,7 @@ Buffer<double> median_elevations(const Directions& seen, const Rings& rings, con
     for (std::size_t r = 0; r < rings.count; ++r) {
         values.clear();
         for (const std::uint32_t n : by_ring.rows(r)) {
-            if (seen.range_m[n] > NEAR_M) values.push_back(seen.slope[n]);
+            if (directions.range_m[n] > NEAR_M) values.push_back(directions.slope[n]);
         }
         elevation[r] = std::atan(lower_median(values.data(), values.size()));
         if (!values.empty()) known.push_back(r);
@@ -414,8 +412,8 @@ Buffer<double> median_elevations(const Directions& seen, const Rings& rings, con
     return elevation;
 }
 
-// The ring of each return, and what shows them.
-std::pair<Rings, RingSource> find_rings(View2<const float> points, const Directions& seen,
+// Return the ring of each return, and the source of the rings.
+std::pair<Rings, RingSource> find_rings(View2<const float> points, const Directions& directions,
                                         std::optional<View1<const std::int16_t>> known, const BeamTable* table) {
     if (known) {
         Rings rings{Buffer<std::int16_t>(known->size), table != nullptr ? table->rings() : 1};
@@ -428,12 +426,12 @@ std::pair<Rings, RingSource> find_rings(View2<const float> points, const Directi
         return {std::move(*ordered), RingSource::FILE_ORDER};
     }
     if (table != nullptr) {
-        BeamMatch match = match_beams(seen.slope, seen.range_m, *table);
+        BeamMatch match = match_beams(directions.slope, directions.range_m, *table);
         if (match.excess >= EXPLAINED) return {Rings{std::move(match.ring), table->rings()}, RingSource::BEAM_TABLE};
-    } else if (std::optional<ClusteredRings> clustered = rings_by_clusters(seen)) {
+    } else if (std::optional<ClusteredRings> clustered = rings_by_clusters(directions)) {
         return {std::move(clustered->rings), RingSource::ELEVATION_CLUSTERS};
     }
-    return {elevation_bins(seen, table), RingSource::ELEVATION_BINS};
+    return {elevation_bins(directions, table), RingSource::ELEVATION_BINS};
 }
 
 }  // namespace
@@ -450,7 +448,7 @@ double lower_median(const float* values, std::size_t count) {
     std::vector<std::int32_t> key(count);
     const std::size_t known = order_keys(values, count, key.data());
     if (known == 0) return UNKNOWN;
-    // Numbers are ordered as their keys: halve the keys between which the median lies, by counting those below.
+    // Floats and keys have the same order: bisect the key range, counting keys up to the middle.
     const std::size_t rank = (known - 1) / 2;
     std::int64_t low = 0, high = 0;
     find_bounds(key.data(), count, low, high);
@@ -476,23 +474,23 @@ std::optional<Rings> rings_by_order(View2<const float> points) {
             std::vector<double> medians = medians_in_order(order, points);
             std::erase_if(medians, [](double median) { return !std::isfinite(median); });
             if (medians.size() < 2) continue;
-            double way = 0.0, rising = 0.0, falling = 0.0;
+            double path = 0.0, rising = 0.0, falling = 0.0;
             std::vector<double> steps;
             for (std::size_t k = 1; k < medians.size(); ++k) {
                 const double step = medians[k] - medians[k - 1];
-                rising += step > LEAST_STEP;
-                falling += step < -LEAST_STEP;
-                way += std::abs(step);
+                rising += step > MIN_STEP;
+                falling += step < -MIN_STEP;
+                path += std::abs(step);
                 steps.push_back(std::abs(step));
             }
             const bool one_way = std::max(rising, falling) >= ONE_WAY * double(steps.size());
-            // Two sensors one after the other rise twice.
-            const bool once = way <= MOST_WAY * std::abs(medians.back() - medians.front());
+            // Two sensors in one cloud rise twice.
+            const bool is_single = path <= MAX_PATH * std::abs(medians.back() - medians.front());
             const double change = change_within(order, points) / median_of(std::move(steps));
-            if (change < least && once && one_way) {
+            if (change < least && is_single && one_way) {
                 best = fill_rings(order, points.rows, rising > falling);
                 least = change;
-                if (change < LITTLE) return best;
+                if (change < SMALL_CHANGE) return best;
             }
         }
     }
@@ -501,12 +499,12 @@ std::optional<Rings> rings_by_order(View2<const float> points) {
 
 RingAssignment recover_rings(View2<const float> points, std::optional<View1<const std::int16_t>> known,
                              const BeamTable* table) {
-    const Directions seen = directions_of(points);
-    auto found = find_rings(points, seen, known, table);
+    const Directions directions = directions_of(points);
+    auto found = find_rings(points, directions, known, table);
     Rings& rings = found.first;
     const RingSource source = found.second;
-    const std::size_t count = points.rows, columns = measure_columns(seen, rings, source, table);
-    // The column of each return, and which are alone in their pixel.
+    const std::size_t count = points.rows, columns = measure_columns(directions, rings, source, table);
+    // Assign columns, and count the returns that are alone in their pixel.
     Buffer<std::int32_t> column(count);
     Buffer<std::uint8_t> counts(rings.count * columns, 0);
     const auto pixel = [&](std::size_t n) -> std::uint8_t& {
@@ -514,7 +512,7 @@ RingAssignment recover_rings(View2<const float> points, std::optional<View1<cons
     };
     const double per_rad = double(columns) / (2 * std::numbers::pi);
     for (std::size_t n = 0; n < count; ++n) {
-        const double at = (double(seen.azimuth[n]) + std::numbers::pi) * per_rad;
+        const double at = (double(directions.azimuth[n]) + std::numbers::pi) * per_rad;
         column[n] = std::int32_t(at > 0.0 ? std::min(at, double(columns - 1)) : 0.0);
         if (rings.ring[n] >= 0) pixel(n) = std::uint8_t(std::min(pixel(n) + 1, 2));
     }
@@ -523,7 +521,7 @@ RingAssignment recover_rings(View2<const float> points, std::optional<View1<cons
         placed += rings.ring[n] >= 0;
         alone += rings.ring[n] >= 0 && pixel(n) == 1;
     }
-    Buffer<double> elevation = median_elevations(seen, rings, table);
+    Buffer<double> elevation = median_elevations(directions, rings, table);
     return {std::move(rings.ring), std::move(column), columns, std::move(elevation), placed, alone, source};
 }
 

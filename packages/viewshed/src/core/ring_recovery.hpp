@@ -1,4 +1,4 @@
-// Which beam and which column each return belongs to: the range image of a sweep, recovered from its points.
+// Recover the range image of a sweep from its points: the beam and the column of each return.
 #pragma once
 
 #include <optional>
@@ -7,28 +7,28 @@
 
 namespace viewshed {
 
-// What shows the rings of a sweep.
+// Source of the rings of a sweep.
 enum class RingSource { FILE, FILE_ORDER, BEAM_TABLE, ELEVATION_CLUSTERS, ELEVATION_BINS };
 
-// Rings (N,) of returns, 0 the lowest, -1 for none, and how many there are.
+// Rings (N,) of returns, 0 the lowest, -1 for none, and the number of rings.
 struct Rings {
     Buffer<std::int16_t> ring;
     std::size_t count;
 };
 
-// The rings that the order of the points tells, or none where they are not stored ring after ring.
+// Return rings by the order of the points, or none if they are not stored ring by ring.
 //
-// Rings begin behind or before the sensor. Counted from the wrong side each holds halves of two, and its slope changes by
-// a whole step on the way: the rings whose slope changes less are right.
+// Rings begin behind or in front of the sensor. Counted from the wrong side, each holds halves of two rings, and its
+// slope changes by a whole step within: the candidate whose slope changes least within a ring is right.
 std::optional<Rings> rings_by_order(View2<const float> points);
 
-// The lower median of some numbers; NaN are left out, NaN for none.
+// Return the lower median, ignoring NaN; NaN for none.
 double lower_median(const float* values, std::size_t count);
 
-// The median, of an even number the mean of the two in the middle; NaN for none.
+// Return the median (the mean of the two middle values for an even count); NaN for none.
 double median_of(std::vector<double> values);
 
-// The beam and the column of each return; viewshed.preprocess.ring_recovery.RingAssignment says what each is.
+// Beam and column of each return; the fields are documented in viewshed.preprocess.ring_recovery.RingAssignment.
 struct RingAssignment {
     Buffer<std::int16_t> ring;
     Buffer<std::int32_t> column;
@@ -38,8 +38,8 @@ struct RingAssignment {
     RingSource source;
 };
 
-// Rings are the known ones (N,), else those of the order of the points, else those nearest to the beams of a table, if
-// the elevations gather at them, else, without a table, those at which the returns themselves gather, else bins.
+// Recover rings from the first source that works: known rings (N,); the order of the points; with a table, its nearest
+// beams if the elevations cluster at them; without one, elevation clusters; else elevation bins.
 RingAssignment recover_rings(View2<const float> points, std::optional<View1<const std::int16_t>> known,
                              const BeamTable* table);
 

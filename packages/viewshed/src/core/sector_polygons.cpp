@@ -8,7 +8,7 @@ namespace {
 
 constexpr std::int64_t NO_NODE = -1;
 
-// The Cartesian tree: of each bin's widest sector the parent, its first and its end bin. Bin 0 is the shortest, the root.
+// Cartesian tree: parent, first bin and end bin of each bin's widest sector. Bin 0 is the shortest and the root.
 struct Tree {
     std::vector<std::int64_t> parent, low, high;
 
@@ -33,8 +33,8 @@ struct Tree {
     }
 };
 
-// Nodes from parents to children, without those of a sector that reaches no farther than its parent: these have no width,
-// and their children belong to the parent. Size: how many nodes are at and below a node.
+// Nodes in preorder, without sectors that reach no farther than their parent: these get width 0, and their children
+// move to the parent. `size` is the number of nodes in a node's subtree.
 struct Order {
     std::vector<std::size_t> nodes;
     std::vector<std::int64_t> width;
@@ -63,11 +63,11 @@ struct Order {
     }
 };
 
-// Add a child to its siblings, which can spend up to `held` sectors: total[k] becomes the best split of k up to `after`,
-// given[k] the child's part of it. The child spends at most `most`.
+// Merge a child into its siblings, which can use up to `held` sectors: total[k] becomes the best value of k sectors up
+// to `after`, given[k] the child's part. The child uses at most `most`.
 void merge(std::vector<double>& total, std::size_t held, const std::vector<double>& value, std::size_t most,
            std::size_t after, std::int16_t* given) {
-    // From the largest k down: what is read is not written yet. More than they can spend is of no use to the siblings.
+    // From the largest k down, so that unread values are not overwritten.
     for (std::size_t k = after + 1; k-- > 0;) {
         double best = total[std::min(k, held)];
         for (std::size_t c = std::max<std::size_t>(k - std::min(k, held), 1); c <= std::min(k, most); ++c) {
@@ -80,11 +80,11 @@ void merge(std::vector<double>& total, std::size_t held, const std::vector<doubl
     }
 }
 
-// The nodes of the best choice. State: node, level of the nearest chosen ancestor, sectors to spend. Level 0 is none,
-// level d + 1 the ancestor at depth d. No node spends more sectors than it has nodes at and below it.
+// Return the nodes of the best choice. State: node, level of the nearest chosen ancestor (0 for none, d + 1 for depth
+// d), remaining sectors. No node uses more sectors than its subtree has nodes.
 std::vector<std::size_t> choose(const std::vector<double>& ranges, const Tree& tree, const Order& order,
                                 std::size_t sectors, double inner) {
-    // A node has a state for each level up to its own depth.
+    // A node has one state for each level up to its depth.
     const std::size_t depths = *std::max_element(order.depth.begin(), order.depth.end()) + 1, spend = sectors + 1;
     std::vector<std::size_t> begin(ranges.size());
     std::size_t states = 0;
@@ -95,8 +95,8 @@ std::vector<std::size_t> choose(const std::vector<double>& ranges, const Tree& t
     const auto state = [&](std::size_t node, std::size_t level) { return (begin[node] + level) * spend; };
     std::vector<char> taken(states * spend);
     std::vector<std::int16_t> given(states * spend, 0);
-    // Of the children of the open node at each depth, by level, the best of what is spent on them; and the most that
-    // they can spend. Of each node the most that it and the siblings before it can spend.
+    // Best values of the children merged so far, by depth of the open node and level; most sectors they can use; and
+    // for each node the most that it and its merged siblings can use.
     std::vector<std::vector<std::vector<double>>> below(depths);
     for (std::size_t d = 0; d < depths; ++d) below[d].assign(d + 2, std::vector<double>(spend, 0.0));
     std::vector<std::size_t> held(depths, 0), after(ranges.size(), 0);
@@ -125,7 +125,7 @@ std::vector<std::size_t> choose(const std::vector<double>& ranges, const Tree& t
         held[depth] = 0;
         if (n > 0) held[depth - 1] = after[node];
     }
-    // Children are met in the reverse of the order in which they were merged.
+    // Backtrack; children occur in reverse order of merging.
     std::vector<std::size_t> chosen, left(ranges.size(), 0), level(ranges.size(), 0);
     for (std::size_t n = 0; n < order.nodes.size(); ++n) {
         const std::size_t node = order.nodes[n];
@@ -149,7 +149,7 @@ std::vector<std::size_t> choose(const std::vector<double>& ranges, const Tree& t
 }  // namespace
 
 BestSectors best_sectors(View1<const double> ranges, std::size_t sectors, double inner) {
-    // The profile from its shortest bin on.
+    // Rotate the profile so that it starts at its shortest bin.
     const std::size_t bins = ranges.size, cut = std::size_t(std::min_element(ranges.begin(), ranges.end()) - ranges.begin());
     std::vector<double> rolled(bins);
     for (std::size_t k = 0; k < bins; ++k) rolled[k] = std::max(ranges[(k + cut) % bins], inner);

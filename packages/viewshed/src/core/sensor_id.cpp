@@ -14,53 +14,53 @@
 namespace viewshed {
 namespace {
 
-constexpr double NEVER = std::numeric_limits<double>::infinity();
+constexpr double INFINITE = std::numeric_limits<double>::infinity();
 constexpr double DEGREE = std::numbers::pi / 180;
 
-// Returns by which a sensor is identified, and those of them that tell the elevations of rings.
-constexpr std::size_t SAMPLE = 16'384, OF_RINGS = 8192;
+// Sample sizes: returns for identification, and returns for the elevations of rings.
+constexpr std::size_t SAMPLE = 16'384, RING_SAMPLE = 8192;
 
-// The first of these suffice where a share SURE of them agrees with one table: no other has its beams where this one has.
-constexpr std::size_t FIRST_OF_RINGS = 2048;
+// The first returns suffice if a share SURE of them matches one table: no other has its beams at the same elevations.
+constexpr std::size_t FIRST_RING_SAMPLE = 2048;
 constexpr double SURE = 0.9;
 
-// Least share of the returns whose ring must lie where the table has it.
+// Required share of returns whose ring lies at its beam in the table.
 constexpr double AGREEING = 0.8;
 
 // A ring lies at a beam within a quarter of the gap to the next beam, and within 0.25°, ...
-constexpr double NEAR_SHARE = 0.25, MOST_OFF = 0.25 * DEGREE;
+constexpr double NEAR_SHARE = 0.25, MAX_OFF = 0.25 * DEGREE;
 
-// ... the median ring within a tenth of it, or 0.03°: a sensor with a calibration of its own is none of the table's.
-constexpr double TYPICAL_SHARE = 0.1, LEAST_GAP = 0.3 * DEGREE;
-constexpr std::size_t FEWEST_OF_RING = 4;
+// ... and the median ring within a tenth of the gap, or 0.03°: otherwise the sensor has a calibration of its own.
+constexpr double TYPICAL_SHARE = 0.1, MIN_BEAM_GAP = 0.3 * DEGREE;
+constexpr std::size_t MIN_RETURNS = 4;
 
-// Rings of a layout lie apart by this at least.
-constexpr double LEAST_APART = 0.05 * DEGREE;
+// Minimum gap between the rings of a layout.
+constexpr double MIN_GAP = 0.05 * DEGREE;
 
-// Rings that are fewer than this share of a table's beams do not name it, nor clusters that are more than this, ...
-constexpr double LEAST_OF_TABLE = 0.5, MOST_OF_TABLE = 1.15;
+// Range of the number of rings, or of clusters, relative to a table's beams ...
+constexpr double MIN_RING_SHARE = 0.5, MAX_CLUSTER_SHARE = 1.15;
 
-// ... nor do rings of which fewer lie at the very next beam: every second beam of a table is another sensor.
+// ... and required share of rings at consecutive beams: every second beam of a table is another sensor.
 constexpr double NEXT_BEAM = 0.8;
 
-// Where no rings are known: least share of a table's beams that must be hit, a beam being hit by LEAST_HITS returns.
-constexpr double HIT = 0.9, LEAST_HITS = 2.0, HIT_SHARE = 0.02;
+// Without rings: required share HIT of beams that are hit, each by at least LEAST_HITS returns.
+constexpr double HIT = 0.9, MIN_HITS = 2.0, HIT_SHARE = 0.02;
 
-// Clusters that explain this share of the returns are the sensor's beams, whatever a table says.
+// Clusters that explain this share of the returns are the sensor's beams, even against a table.
 constexpr double SHARP = 0.97;
 
-// The same of a sensor whose motion was undone: near the seam a return may be of either end of the revolution.
+// The same once motion compensation is undone: near the seam a return may belong to either end of the revolution.
 constexpr double SHARP_AT_REST = 0.95;
 
-// A table that explains less than this must not have more returns in its rings than columns, by this factor.
+// A table that explains less than CERTAIN must not have CROWDED times more returns per ring than columns.
 constexpr double CERTAIN = 0.5, CROWDED = 1.3;
 
-// A FEW returns choose the LIKELY tables, which are then compared on the whole sample.
+// FEW returns preselect the LIKELY tables, which are then compared on the whole sample.
 constexpr std::size_t FEW = 2048, LIKELY = 2;
 
 using BeamTables = std::vector<BeamTable>;
 
-// Those of the inferable sensors, in their order.
+// Return the tables of the inferable sensors, in their order.
 const BeamTables& inferable_tables() {
     static const BeamTables tables = [] {
         BeamTables all;
@@ -70,7 +70,7 @@ const BeamTables& inferable_tables() {
     return tables;
 }
 
-// Rings of a cloud, what shows them, and how sharply.
+// Rings of a cloud, their source, and their sharpness.
 struct ShownRings {
     View1<const std::int16_t> ring;
     std::size_t count;
@@ -80,10 +80,10 @@ struct ShownRings {
     bool are_clusters() const { return source == RingSource::ELEVATION_CLUSTERS; }
 };
 
-// Returns by ring, one ring after the other: for the elevations of rings.
+// Returns sorted by ring, to measure the elevations of rings.
 struct ReturnsByRing {
     std::vector<std::size_t> starts;
-    std::vector<float> slope, nearness;  // 1 / range in 1/m; of returns nearer than 1 m, which tell no elevation, 0
+    std::vector<float> slope, nearness;  // 1 / range in 1/m, 0 for returns nearer than 1 m
 
     std::size_t size_of(std::size_t ring) const { return starts[ring + 1] - starts[ring]; }
     std::size_t size() const { return slope.size(); }
@@ -108,7 +108,7 @@ ReturnsByRing returns_by_ring(const std::vector<std::int16_t>& ring, std::size_t
     return returns;
 }
 
-// The median of what `value` makes of the slope and nearness of each ring's returns beyond 1 m; NaN for none.
+// Return the median over each ring of value(ring, slope, nearness) of its returns beyond 1 m; NaN for none.
 template <typename Value>
 std::vector<double> ring_medians(const ReturnsByRing& returns, const Value& value) {
     std::vector<double> medians(returns.starts.size() - 1);
@@ -124,7 +124,7 @@ std::vector<double> ring_medians(const ReturnsByRing& returns, const Value& valu
     return medians;
 }
 
-// The median elevation of each ring's returns beyond 1 m, seen from its origin (rings,).
+// Return the median elevation (rings,) of returns beyond 1 m, seen from the origin of each ring.
 std::vector<double> ring_elevations(const ReturnsByRing& returns, const std::vector<double>& origin_m) {
     std::vector<double> medians = ring_medians(returns, [&](std::size_t ring, float slope, float nearness) {
         return slope - float(origin_m[ring]) * nearness;
@@ -133,23 +133,23 @@ std::vector<double> ring_elevations(const ReturnsByRing& returns, const std::vec
     return medians;
 }
 
-// Whether the rings are neither too few nor too many for a table.
-bool is_as_many(const ShownRings& rings, const BeamTable& table) {
+// Check that the number of rings fits a table.
+bool has_similar_count(const ShownRings& rings, const BeamTable& table) {
     const double count = double(rings.count), beams = double(table.rings());
-    return LEAST_OF_TABLE * beams <= count && count <= (rings.are_clusters() ? MOST_OF_TABLE : 1.0) * beams;
+    return MIN_RING_SHARE * beams <= count && count <= (rings.are_clusters() ? MAX_CLUSTER_SHARE : 1.0) * beams;
 }
 
-// The slope and the nearness that are the medians of a ring.
+// Median slope and median nearness of a ring.
 struct RingMedian {
     std::size_t ring;
     double slope, nearness;
 };
 
-// How far the median ring lies from a beam, in gaps between beams; infinite where the numbers do not fit.
+// Return the median distance of rings from their beams, in gaps between beams; infinite if the counts do not fit.
 //
-// A slope is the beam's and its origin's height times the nearness 1 / range, and so are their medians, roughly.
-double roughly_off(const ShownRings& rings, const std::vector<RingMedian>& medians, const BeamTable& table) {
-    if (!is_as_many(rings, table) || medians.size() < 2) return NEVER;
+// Approximation: slope = slope of the beam + origin height · nearness, applied to the medians.
+double median_offset(const ShownRings& rings, const std::vector<RingMedian>& medians, const BeamTable& table) {
+    if (!has_similar_count(rings, table) || medians.size() < 2) return INFINITE;
     std::vector<double> off;
     if (rings.count == table.rings() && !rings.are_clusters()) {
         for (const auto& [ring, slope, nearness] : medians) {
@@ -161,30 +161,29 @@ double roughly_off(const ShownRings& rings, const std::vector<RingMedian>& media
     std::vector<std::size_t> beam(medians.size());
     for (std::size_t k = 0; k < medians.size(); ++k) {
         const auto& [ring, slope, nearness] = medians[k];
-        // The second time the ring is seen from its own beam's origin.
+        // Look the beam up again, now from its own origin.
         const std::size_t first = table.nearest_to(std::atan(slope - table.mean_origin_m * nearness));
         const double elevation = std::atan(slope - table.origin_m[first] * nearness);
         beam[k] = table.nearest_to(elevation);
         off.push_back(std::abs(table.elevation[beam[k]] - elevation) / table.gap[beam[k]]);
     }
-    // Beams that are left out count against a table.
+    // Skipped beams count against a table.
     double left_out = 0.0;
     for (std::size_t k = 1; k < beam.size(); ++k) left_out += beam[k] > beam[k - 1] + 1;
     return median_of(std::move(off)) + left_out / double(beam.size() - 1);
 }
 
-// The beam (rings,) of the table at which each ring lies, none where they do not go together.
+// Return the beam (rings,) of the table for each ring, or none if they do not match.
 //
-// They go together where each ring has a beam of its own, in the same order, and most returns are of a ring at the very
-// next beam. Clusters may be one beam's by twos.
+// They match if rings have distinct beams in order, with most returns at consecutive beams. Two clusters may share one.
 std::optional<std::vector<std::size_t>> beams_of_rings(const ShownRings& rings, const ReturnsByRing& returns,
                                                        const BeamTable& table) {
-    if (!is_as_many(rings, table)) return std::nullopt;
+    if (!has_similar_count(rings, table)) return std::nullopt;
     std::vector<std::size_t> beam(rings.count);
     std::iota(beam.begin(), beam.end(), std::size_t{0});
     if (rings.count == table.rings() && !rings.are_clusters()) return beam;
-    // 1. The beam nearest to each ring; the second time each ring is seen from its own beam's origin. Rings whose returns
-    //    are all near have no elevation and stand between those beside them.
+    // 1. Find the nearest beam of each ring, then again from that beam's origin. Interpolate rings without an
+    // elevation.
     std::vector<double> origin_m(rings.count, table.mean_origin_m);
     std::vector<std::size_t> known;
     for (int time = 0; time < 2; ++time) {
@@ -209,7 +208,7 @@ std::optional<std::vector<std::size_t>> beams_of_rings(const ShownRings& rings, 
         }
         for (std::size_t r = 0; r < rings.count; ++r) origin_m[r] = table.origin_m[beam[r]];
     }
-    // 2. From each ring to the next one.
+    // 2. Check the step from each ring to the next one.
     double weights = 0.0, at_next_beam = 0.0;
     for (std::size_t k = 1; k < known.size(); ++k) {
         const auto step = std::ptrdiff_t(beam[known[k]]) - std::ptrdiff_t(beam[known[k - 1]]);
@@ -222,8 +221,7 @@ std::optional<std::vector<std::size_t>> beams_of_rings(const ShownRings& rings, 
     return beam;
 }
 
-// The share of returns whose ring lies at a beam of the table, 0 where rings and beams do not go together. Of rings whose
-// elevation is known: some have near returns alone.
+// Return the share of returns, over rings with a known elevation, whose ring lies at its beam; 0 without a match.
 double ring_score(const ShownRings& rings, const ReturnsByRing& returns, const BeamTable& table) {
     const auto beam = beams_of_rings(rings, returns, table);
     if (!beam) return 0.0;
@@ -236,17 +234,17 @@ double ring_score(const ShownRings& rings, const ReturnsByRing& returns, const B
         if (!std::isfinite(off)) continue;
         const auto size = double(returns.size_of(r));
         all += size;
-        agreeing += off < std::min(NEAR_SHARE * gap, MOST_OFF) ? size : 0.0;
-        if (returns.size_of(r) >= FEWEST_OF_RING) shares.push_back(off / std::max(gap, LEAST_GAP));
+        agreeing += off < std::min(NEAR_SHARE * gap, MAX_OFF) ? size : 0.0;
+        if (returns.size_of(r) >= MIN_RETURNS) shares.push_back(off / std::max(gap, MIN_BEAM_GAP));
     }
     if (shares.empty() || median_of(std::move(shares)) > TYPICAL_SHARE) return 0.0;
     return agreeing / std::max(all, 1.0);
 }
 
-// A table, or none, and its score.
+// Index of a table (or NO_SENSOR) and its score.
 using Scored = std::pair<int, double>;
 
-// The numbers of the tables with the highest scores, the first of equal ones.
+// Return the indices of the tables with the highest scores, the first of equal ones.
 std::vector<int> likeliest(const std::vector<double>& scores) {
     std::vector<int> order(scores.size());
     std::iota(order.begin(), order.end(), 0);
@@ -255,9 +253,9 @@ std::vector<int> likeliest(const std::vector<double>& scores) {
     return order;
 }
 
-// The table that the rings of a sample agree with and its score, none where they agree with none.
+// Return the table that matches the rings of a sample and its score, or NO_SENSOR.
 Scored agreeing_table(const ShownRings& rings, const ReturnsByRing& returns, const BeamTables& tables) {
-    // 1. Roughly, by the median slope and the median nearness of each ring.
+    // 1. Preselect by the median slope and the median nearness of each ring.
     std::vector<double> slopes, nearness;
     run_parts(2, [&](std::size_t part) {
         if (part == 0) slopes = ring_medians(returns, [](std::size_t, float slope, float) { return slope; });
@@ -268,8 +266,8 @@ Scored agreeing_table(const ShownRings& rings, const ReturnsByRing& returns, con
         if (std::isfinite(slopes[r])) medians.push_back({r, slopes[r], nearness[r]});
     }
     std::vector<double> near;
-    for (const BeamTable& table : tables) near.push_back(-roughly_off(rings, medians, table));
-    // 2. The likeliest tables, each ring seen from its own beam's origin.
+    for (const BeamTable& table : tables) near.push_back(-median_offset(rings, medians, table));
+    // 2. Score the likeliest tables, with each ring seen from its beam's origin.
     const std::vector<int> likely = likeliest(near);
     std::vector<double> scores(likely.size(), 0.0);
     run_parts(likely.size(), [&](std::size_t k) {
@@ -282,11 +280,11 @@ Scored agreeing_table(const ShownRings& rings, const ReturnsByRing& returns, con
     return {best.second >= AGREEING ? best.first : NO_SENSOR, best.second};
 }
 
-// `excess` times the share of beams that were hit, among those inside the elevations of the returns.
+// Return `excess` times the share of hit beams, among beams inside the elevations of the returns.
 double cluster_score(View1<const float> slope, View1<const float> range_m, const BeamTable& table) {
     const BeamMatch match = match_beams(slope, range_m, table);
     const auto all = double(std::accumulate(match.hits.begin(), match.hits.end(), std::int64_t{0}));
-    const double least = std::max(LEAST_HITS, HIT_SHARE * all / double(table.rings()));
+    const double least = std::max(MIN_HITS, HIT_SHARE * all / double(table.rings()));
     const auto is_hit = [&](std::int64_t hits) { return double(hits) > least; };
     const auto first = std::find_if(match.hits.begin(), match.hits.end(), is_hit);
     if (first == match.hits.end()) return 0.0;
@@ -295,7 +293,7 @@ double cluster_score(View1<const float> slope, View1<const float> range_m, const
     return share >= HIT ? match.excess * share : 0.0;
 }
 
-// Whether the median of the table's rings would hold clearly more of `count` returns than a revolution has columns.
+// Check if the table's median ring would hold clearly more of `count` returns than a revolution has columns.
 bool is_crowded(View1<const float> slope, View1<const float> range_m, const BeamTable& table, std::size_t count) {
     std::vector<double> sizes(table.rings(), 0.0);
     const BeamMatch match = match_beams(slope, range_m, table);
@@ -305,7 +303,7 @@ bool is_crowded(View1<const float> slope, View1<const float> range_m, const Beam
     return median_of(std::move(sizes)) * double(count) / double(slope.size) > CROWDED * table.columns;
 }
 
-// The table whose beams lie nearest to a sample of `count` returns, none where it explains too little.
+// Return the table whose beams are nearest to a sample of `count` returns, or NO_SENSOR if it explains too little.
 Scored explaining_table(const Elevations& sample, std::size_t count, const BeamTables& tables) {
     const auto part_of = [](const std::vector<float>& values, std::size_t size) {
         return View1<const float>{values.data(), std::min(size, values.size())};
@@ -326,7 +324,7 @@ Scored explaining_table(const Elevations& sample, std::size_t count, const BeamT
     return best;
 }
 
-// Rows of a cloud in random order: the first of a sample that holds all of a small one.
+// Return random rows of a cloud; a small cloud is shuffled instead, so that no row repeats.
 std::vector<std::uint32_t> sample_rows(std::size_t count, std::size_t size) {
     if (count > SAMPLE) return random_rows(count, size);
     std::vector<std::uint32_t> rows = shuffled_rows(count);
@@ -334,7 +332,7 @@ std::vector<std::uint32_t> sample_rows(std::size_t count, std::size_t size) {
     return rows;
 }
 
-// A sample of points by ring, up to a size.
+// Return a random sample of points, sorted by ring.
 ReturnsByRing sample_by_ring(View2<const float> points, const ShownRings& rings, std::size_t size) {
     const std::vector<std::uint32_t> rows = sample_rows(points.rows, size);
     const Elevations sample = elevations_of(points, rows);
@@ -343,7 +341,7 @@ ReturnsByRing sample_by_ring(View2<const float> points, const ShownRings& rings,
     return returns_by_ring(ring, rings.count, sample.slope.data(), sample.range_m.data());
 }
 
-// Rings (N,) counted as the table's beams, where rings are fewer than these; none where they are so already.
+// Renumber rings (N,) as the table's beamsif there are fewer; none if that is not needed or possible.
 std::optional<Buffer<std::int16_t>> counted_as_beams(const ShownRings& rings, const float* slope, const float* range_m,
                                                      const BeamTable& table) {
     if (rings.count == table.rings()) return std::nullopt;
@@ -374,24 +372,24 @@ std::optional<OwnRings> rings_shown_by_order(View2<const float> points) {
     return OwnRings{std::move(rings->ring), rings->count, RingSource::FILE_ORDER};
 }
 
-std::optional<OwnRings> rings_shown_by_clusters(const Directions& seen) {
-    std::optional<ClusteredRings> found = rings_by_clusters(seen);
+std::optional<OwnRings> rings_shown_by_clusters(const Directions& directions) {
+    std::optional<ClusteredRings> found = rings_by_clusters(directions);
     if (!found) return std::nullopt;
     return OwnRings{std::move(found->rings.ring), found->rings.count, RingSource::ELEVATION_CLUSTERS,
                     found->clusters.sharpness, BeamTable(found->clusters.elevation, found->clusters.origin_m, 0)};
 }
 
-// The nearest beam of each return (N,), none where the returns do not gather at the beams.
-std::optional<Buffer<std::int16_t>> nearest_beams(const Directions& seen, const BeamTable& table) {
-    BeamMatch match = match_beams(seen.slope, seen.range_m, table);
+// Return the nearest beam of each return (N,), or none if the returns do not cluster at the beams.
+std::optional<Buffer<std::int16_t>> nearest_beams(const Directions& directions, const BeamTable& table) {
+    BeamMatch match = match_beams(directions.slope, directions.range_m, table);
     if (match.excess < EXPLAINED) return std::nullopt;
     return std::move(match.ring);
 }
 
-// Points (N, 3) as their sensor measured them, once its motion is undone, what they show, and the rings at whose elevations nearly all gather then.
+// Points (N, 3) with their motion compensation undone, their directions, and the rings of sharp clusters among them.
 struct AtRest {
     Buffer<float> measured;
-    Directions seen;
+    Directions directions;
     std::optional<OwnRings> rings;
 };
 
@@ -400,43 +398,42 @@ std::optional<AtRest> undo_motion_of(View2<const float> points) {
     if (!motion) return std::nullopt;
     Buffer<float> measured(points.size());
     undo_motion(points, *motion, measured.view(points.rows, 3));
-    Directions seen = directions_of({measured.data(), points.rows, 3});
-    AtRest at_rest{std::move(measured), std::move(seen), std::nullopt};
-    at_rest.rings = rings_shown_by_clusters(at_rest.seen);
+    Directions directions = directions_of({measured.data(), points.rows, 3});
+    AtRest at_rest{std::move(measured), std::move(directions), std::nullopt};
+    at_rest.rings = rings_shown_by_clusters(at_rest.directions);
     if (at_rest.rings && at_rest.rings->sharpness < SHARP_AT_REST) at_rest.rings.reset();
     return at_rest;
 }
 
-// What rings and tables say of a bare cloud before any motion is undone: the table, its score and the rings; the first two
-// rings that are shown are tried in turn.
+// Identification of a bare cloud without undoing motion: table, score, and rings of the first or second source.
 struct Identified {
     int table = NO_SENSOR;
     double score = 0.0;
     std::optional<OwnRings> rings;
-    std::optional<Directions> seen;  // what the points show, where that had to be looked at
-    std::optional<Buffer<std::int16_t>> counted;  // the rings by a layout that was expected; then nothing else was looked at
+    std::optional<Directions> directions;  // directions of the points, if they were computed
+    std::optional<Buffer<std::int16_t>> counted;  // rings by the expected layout, if it matched
 };
 
-// Whether rings are surely those of an expected table, by the first of the sample.
+// Check on the first sample if the rings are surely those of an expected table.
 bool is_surely(const BeamTable& table, const ShownRings& rings, View2<const float> points) {
     return rings.count == table.rings() &&
-           ring_score(rings, sample_by_ring(points, rings, FIRST_OF_RINGS), table) >= SURE;
+           ring_score(rings, sample_by_ring(points, rings, FIRST_RING_SAMPLE), table) >= SURE;
 }
 
-// The table that rings agree with, and its score.
+// Return the table that matches the rings, and its score.
 Scored table_by_rings(View2<const float> points, const ShownRings& rings, const BeamTables& tables) {
-    const Scored first = agreeing_table(rings, sample_by_ring(points, rings, FIRST_OF_RINGS), tables);
-    return first.second >= SURE ? first : agreeing_table(rings, sample_by_ring(points, rings, OF_RINGS), tables);
+    const Scored first = agreeing_table(rings, sample_by_ring(points, rings, FIRST_RING_SAMPLE), tables);
+    return first.second >= SURE ? first : agreeing_table(rings, sample_by_ring(points, rings, RING_SAMPLE), tables);
 }
 
-// The rings (N,) of an order counted by a layout; none where they do not go together.
+// Renumber rings (N,) found by order to match a layout; none if they do not match.
 //
-// Where a beam meets the vehicle beside the seam an order misses a ring, or counts one more, and the rings above it are shifted:
-// most of those lie where the layout has them.
+// Where a beam meets the vehicle near the seam, the order misses a ring or counts an extra one, and the rings above are
+// shifted. The best shift is the one at which most rings lie at the layout's elevations.
 std::optional<Buffer<std::int16_t>> counted_by_layout(View2<const float> points, const ShownRings& rings,
                                                       const BeamTable& layout) {
     const std::vector<double> origin_m(rings.count, 0.0);
-    const std::vector<double> elevation = ring_elevations(sample_by_ring(points, rings, FIRST_OF_RINGS), origin_m);
+    const std::vector<double> elevation = ring_elevations(sample_by_ring(points, rings, FIRST_RING_SAMPLE), origin_m);
     const auto count = std::ptrdiff_t(rings.count), beams = std::ptrdiff_t(layout.rings());
     std::ptrdiff_t most = 0, best = 0;
     for (const std::ptrdiff_t shift : {0, -1, 1, -2, 2}) {
@@ -450,7 +447,7 @@ std::optional<Buffer<std::int16_t>> counted_by_layout(View2<const float> points,
             best = shift;
         }
     }
-    if (double(most) < LEAST_OF_TABLE * double(std::max(count, beams))) return std::nullopt;
+    if (double(most) < MIN_RING_SHARE * double(std::max(count, beams))) return std::nullopt;
     Buffer<std::int16_t> counted(rings.ring.size);
     for (std::size_t n = 0; n < counted.size(); ++n) {
         const std::ptrdiff_t beam = rings.ring[n] + best;
@@ -468,7 +465,7 @@ Identified identify(View2<const float> points, const BeamTables& tables, Expecte
         if (table != NO_SENSOR || !found.rings) found.rings = std::move(rings);
         return table != NO_SENSOR;
     };
-    // 1. The order of the points.
+    // 1. Rings by the order of the points.
     std::optional<OwnRings> ordered = rings_shown_by_order(points);
     if (ordered && expected.sensor != NO_SENSOR && is_surely(tables[expected.sensor], ordered->shown(), points)) {
         return {expected.sensor, SURE, std::move(ordered), std::nullopt, std::nullopt};
@@ -478,10 +475,10 @@ Identified identify(View2<const float> points, const BeamTables& tables, Expecte
         found.counted = counted_by_layout(points, found.rings->shown(), *expected.layout);
         if (found.counted) return found;
     }
-    // 2. The elevations at which they gather, those of the sweeps before first.
-    found.seen = directions_of(points);
+    // 2. Rings by elevation, first at the expected layout.
+    found.directions = directions_of(points);
     if (!found.rings && expected.layout) {
-        BeamMatch match = match_beams(found.seen->slope, found.seen->range_m, *expected.layout);
+        BeamMatch match = match_beams(found.directions->slope, found.directions->range_m, *expected.layout);
         if (match.excess >= SHARP) {
             std::optional<OwnRings> gathered = OwnRings{std::move(match.ring), expected.layout->rings(),
                                                         RingSource::ELEVATION_CLUSTERS, match.excess, *expected.layout};
@@ -489,9 +486,9 @@ Identified identify(View2<const float> points, const BeamTables& tables, Expecte
             return found;
         }
     }
-    std::optional<OwnRings> clustered = rings_shown_by_clusters(*found.seen);
+    std::optional<OwnRings> clustered = rings_shown_by_clusters(*found.directions);
     if (clustered && agrees(clustered)) return found;
-    // 3. Where nothing shows rings, or clusters are blurred, a table may know what they do not: origins of its beams.
+    // 3. Without rings, or with blurred clusters, match tables directly: they know the origins of their beams.
     if (!found.rings || (found.rings->shown().are_clusters() && found.rings->sharpness < SHARP)) {
         const Elevations sample = elevations_of(points, sample_rows(points.rows, SAMPLE));
         const auto [table, score] = explaining_table(sample, points.rows, tables);
@@ -504,14 +501,14 @@ Identified identify(View2<const float> points, const BeamTables& tables, Expecte
     return found;
 }
 
-// Whether nothing shows rings, only clusters that are not sharp, or an order that no table confirms.
+// Check if there are no rings, only blurred clusters, or an order that no table confirms.
 bool is_doubtful(const Identified& found) {
     if (!found.rings) return true;
     if (found.rings->shown().are_clusters()) return found.rings->sharpness < SHARP;
     return found.table == NO_SENSOR;
 }
 
-// Whether sharp clusters tell more than the rings: sharper ones, or more than an order that skips rings.
+// Check if sharp clusters are better than the rings: sharper, or more than an order that skips rings.
 bool is_better(const OwnRings& clusters, const std::optional<OwnRings>& rings) {
     if (!rings) return true;
     if (rings->source == RingSource::FILE_ORDER) return clusters.count > rings->count;
@@ -524,49 +521,49 @@ ShownRings rings_of_file(View1<const std::int16_t> ring) {
     return {ring, std::size_t(most) + 1, RingSource::FILE};
 }
 
-// The rings and the table of points (N, 3) whose rings (N,) are known.
+// Identify points (N, 3) with known rings (N,).
 SensorId identify_by_rings(View2<const float> points, View1<const std::int16_t> ring, const BeamTables& tables,
                            int expected) {
     const ShownRings rings = rings_of_file(ring);
     if (expected != NO_SENSOR && is_surely(tables[expected], rings, points)) return {std::nullopt, expected};
     const auto [table, score] = table_by_rings(points, rings, tables);
     if (table == NO_SENSOR || rings.count == tables[table].rings()) return {std::nullopt, table};
-    const Directions seen = directions_of(points);
-    return {counted_as_beams(rings, seen.slope.data(), seen.range_m.data(), tables[table]), table};
+    const Directions directions = directions_of(points);
+    return {counted_as_beams(rings, directions.slope.data(), directions.range_m.data(), tables[table]), table};
 }
 
-// The layout of rings that no table explains: the elevations of clusters, or of an order that of each ring's returns. The
-// lowest ones of an order may meet the vehicle itself, and then stand in no order: each lies below the next at least.
+// Return the layout of rings without a matching table: the elevations of clusters, or the median elevation of each
+// ring. The lowest rings by order may meet the vehicle and be out of order: each is forced below the next one.
 BeamTable layout_of(View2<const float> points, const OwnRings& rings) {
     if (rings.clusters) return *rings.clusters;
     std::vector<double> origin_m(rings.count, 0.0);
-    std::vector<double> elevation = ring_elevations(sample_by_ring(points, rings.shown(), OF_RINGS), origin_m);
+    std::vector<double> elevation = ring_elevations(sample_by_ring(points, rings.shown(), RING_SAMPLE), origin_m);
     double above = std::numbers::pi / 2;
     for (std::size_t r = rings.count; r-- > 0;) {
-        above = elevation[r] < above - LEAST_APART ? elevation[r] : above - LEAST_APART;
+        above = elevation[r] < above - MIN_GAP ? elevation[r] : above - MIN_GAP;
         elevation[r] = above;
     }
     return BeamTable(std::move(elevation), std::move(origin_m), 0);
 }
 
-// The rings and the table that bare points (N, 3) show; none where they show none.
+// Identify bare points (N, 3): their rings and table, if found.
 SensorId identify_by_points(View2<const float> points, const BeamTables& tables, Expected expected) {
-    // 1. The rings that the points show, and the table that these agree with.
+    // 1. Find rings and a matching table.
     Identified found = identify(points, tables, expected);
-    // 2. In doubt the sensor moved: look again without the motion that blurred the elevations.
+    // 2. If in doubt, assume a moving sensor: undo the motion compensation, which blurs elevations, and look again.
     if (!found.counted && is_doubtful(found)) {
         std::optional<AtRest> at_rest = undo_motion_of(points);
         if (at_rest && at_rest->rings && is_better(*at_rest->rings, found.rings)) {
-            found.seen = std::move(at_rest->seen);
+            found.directions = std::move(at_rest->directions);
             found.rings = std::move(at_rest->rings);
             const View2<const float> measured{at_rest->measured.data(), points.rows, 3};
             const int table = table_by_rings(measured, found.rings->shown(), tables).first;
             if (table != NO_SENSOR) found.table = table;
         }
     }
-    // 3. The rings as the table's beams. Clusters skip a beam that has no return: then the beams nearest to the returns.
+    // 3. Renumber rings as the table's beams. Clusters miss empty beams: use the nearest beams.
     if (found.counted) {
-        // Where the ground tilts the elevations of an order change slowly: the layout follows.
+        // On sloping ground the median elevations drift slowly: update the layout.
         const std::size_t count = found.rings->count;
         BeamTable layout = count == expected.layout->rings() ? layout_of(points, *found.rings) : *expected.layout;
         return {std::move(found.counted), NO_SENSOR, std::move(layout), count, true};
@@ -580,36 +577,37 @@ SensorId identify_by_points(View2<const float> points, const BeamTables& tables,
     if (found.rings && found.rings->count == table.rings() && !found.rings->shown().are_clusters()) {
         return {std::move(found.rings->ring), found.table};
     }
-    const Directions seen = found.seen ? std::move(*found.seen) : directions_of(points);
-    if (!found.rings || found.rings->shown().are_clusters()) return {nearest_beams(seen, table), found.table};
-    auto counted = counted_as_beams(found.rings->shown(), seen.slope.data(), seen.range_m.data(), table);
+    const Directions directions = found.directions ? std::move(*found.directions) : directions_of(points);
+    if (!found.rings || found.rings->shown().are_clusters()) return {nearest_beams(directions, table), found.table};
+    auto counted = counted_as_beams(found.rings->shown(), directions.slope.data(), directions.range_m.data(), table);
     return {counted ? std::move(*counted) : std::move(found.rings->ring), found.table};
 }
 
-// The rings (N,) that bare points show, by their order or else by their elevations.
+// Return the rings (N,) of bare points, by order or else by elevation.
 std::optional<Buffer<std::int16_t>> rings_of_points(View2<const float> points) {
     std::optional<OwnRings> rings = rings_shown_by_order(points);
     if (!rings) rings = rings_shown_by_clusters(directions_of(points));
     return rings ? std::optional(std::move(rings->ring)) : std::nullopt;
 }
 
-// The beam of each point (N, 3) of a sensor that is known; none where the points do not gather at its beams.
+// Return the beam of each point (N, 3) of a known sensor; none if the points do not cluster at its beams.
 std::optional<Buffer<std::int16_t>> beams_of_sensor(View2<const float> points, const BeamTable& table) {
-    // 1. The order of the points tells the rings, if they are no more than the sensor has.
+    // 1. Rings by the order of the points, if there are no more than the sensor has.
     std::optional<OwnRings> ordered = rings_shown_by_order(points);
     if (ordered && ordered->count <= table.rings()) return std::move(ordered->ring);
-    // 2. Else the beams nearest to the returns. Where the table does not explain them sharply, the sensor moved or has a
-    //    calibration of its own: then clusters without its motion are counted as the table's beams, if these go together.
-    const Directions seen = directions_of(points);
-    BeamMatch match = match_beams(seen.slope, seen.range_m, table);
+    // 2. Else the nearest beams. If the table matches poorly, the sensor moved or has a calibration of its own: then
+    // try
+    //    clusters without motion compensation, renumbered as the table's beams.
+    const Directions directions = directions_of(points);
+    BeamMatch match = match_beams(directions.slope, directions.range_m, table);
     std::optional<AtRest> at_rest = match.excess < SHARP ? undo_motion_of(points) : std::nullopt;
     if (at_rest && at_rest->rings) {
-        const float *slope = at_rest->seen.slope.data(), *range_m = at_rest->seen.range_m.data();
+        const float *slope = at_rest->directions.slope.data(), *range_m = at_rest->directions.range_m.data();
         if (at_rest->rings->count == table.rings()) return std::move(at_rest->rings->ring);
         if (auto counted = counted_as_beams(at_rest->rings->shown(), slope, range_m, table)) return counted;
     }
     if (at_rest) {
-        BeamMatch moved = match_beams(at_rest->seen.slope, at_rest->seen.range_m, table);
+        BeamMatch moved = match_beams(at_rest->directions.slope, at_rest->directions.range_m, table);
         if (moved.excess > match.excess) match = std::move(moved);
     }
     if (match.excess < EXPLAINED) return std::nullopt;

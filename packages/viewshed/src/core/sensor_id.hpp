@@ -1,4 +1,4 @@
-// Sensor identification: the rings of a cloud, and the beam table that agrees with them, or none.
+// Identify the sensor of a cloud: its rings, and the beam table that matches them.
 #pragma once
 
 #include <optional>
@@ -8,15 +8,14 @@
 
 namespace viewshed {
 
-// No sensor explains a cloud.
+// Results of identification that are no sensor: none found, or rings that are no beams of the given table.
 constexpr int NO_SENSOR = -1, OTHER_BEAMS = -2;
 
-// The sensors that may be inferred; they are meant by their number in it.
+// Return the sensors that may be inferred; a sensor's number is its index here.
 const std::vector<const SensorModel*>& inferable_sensors();
 
-// The rings (N,) of a sweep, where they are not its own or are counted otherwise, and the number of the inferred sensor. Of
-// rings that no table explains the layout by which they are counted, how many the sweep itself shows, and whether it is counted
-// by the layout that was expected.
+// Result: rings (N,) if they differ from the sweep's own, and the number of the inferred sensor. For rings without a
+// matching table also their layout, the number of rings that the sweep shows, and whether the expected layout was used.
 struct SensorId {
     std::optional<Buffer<std::int16_t>> ring;
     int sensor = NO_SENSOR;
@@ -25,23 +24,22 @@ struct SensorId {
     bool is_held = false;
 };
 
-// What the sweeps before in a stream showed: the number of their sensor, or the layout of rings that no table explains.
+// What earlier sweeps of a stream showed: the number of their sensor, or the layout of rings without a matching table.
 struct Expected {
     int sensor = NO_SENSOR;
     const BeamTable* layout = nullptr;
 };
 
-// The rings of points (N, 3) that have none or whose sensor is not known, and the sensor where it may be inferred.
+// Recover the rings of points (N, 3) if they are missing or their sensor is unknown, and infer the sensor if allowed.
 //
-// With a table, of a sensor that is known, its beams; rings that are none of them, with OTHER_BEAMS, where the points gather
-// elsewhere. Else the sensor that the rings (N,) agree with; of bare points first the
-// rings that their order or their elevations show. None of these where nothing shows them. A sensor that is expected is looked
-// at first, on a small sample: where that leaves no doubt, no other is looked at. A layout that is expected counts the rings,
-// and nothing else is looked at, where those of the order go together with it, or the returns gather at its elevations.
+// With a table of a known sensor: rings are its beams, or OTHER_BEAMS if the points cluster at other elevations.
+// Otherwise: find the sensor that matches the rings (N,); bare points first get rings from their order or elevations.
+// Nothing is returned if no evidence is found. An expected sensor is tested first, on a small sample, and accepted if
+// there is no doubt. So is an expected layout, if the rings by order or the elevations match it.
 SensorId identify_sensor(View2<const float> points, std::optional<View1<const std::int16_t>> ring, const BeamTable* table,
                          bool is_inferred, Expected expected);
 
-// The sensor that explains points best, by their rings where these are known, and its score in [0, 1].
+// Return the sensor that matches the points best (by their rings, if known), and its score in [0, 1].
 std::pair<int, double> infer_sensor(View2<const float> points, std::optional<View1<const std::int16_t>> ring);
 
 }  // namespace viewshed

@@ -12,91 +12,92 @@
 namespace viewshed {
 namespace {
 
-// Longest way that is tried, in one revolution: 35 m/s at ten revolutions a second.
+// Longest tested displacement in one revolution: 35 m/s at 10 Hz.
 constexpr double FARTHEST_M = 3.5;
 
-// Azimuths at which a revolution may begin and end, ...
+// Tested azimuths at which a revolution begins and ends, ...
 constexpr std::array<double, 4> SEAMS{-std::numbers::pi, std::numbers::pi / 2, 0.0, -std::numbers::pi / 2};
 
-// ... and parts of the turn from there, counter-clockwise, at which the sensor may have been at the origin.
+// ... and tested fractions of the turn, counter-clockwise, at which the sensor was at the origin.
 constexpr std::array<double, 3> REFERENCES{0.5, 0.0, 1.0};
 
-// Ways that are tried first: in steps of this, forth and back along this number of headings.
+// Coarse search grid: steps of this size, forward and backward along this number of headings.
 constexpr double STEP_M = 0.4;
 constexpr int HEADINGS = 8;
 
-// A sensor that is pitched moves up or down in its own frame: this share of the way is tried as well.
+// A pitched sensor moves up or down in its own frame: also test this share of the displacement as climb.
 constexpr double CLIMB = 0.1;
 
-// They are improved in ever smaller steps down to this one; upward in steps of a quarter.
+// Refinement halves the steps down to this size; vertical steps are a quarter.
 constexpr double FINEST_M = 0.004, RISE = 0.25;
 constexpr int IMPROVEMENTS = 4;
 
-// Returns by which a way is found, and by which it is improved; fewer do not tell a motion.
+// Sample sizes of the coarse search and of the refinement; fewest returns that determine a motion.
 constexpr std::size_t FEW = 384, SAMPLE = 2048, FEWEST_RETURNS = 256;
 
-// Nearer returns do not tell it: the azimuth at which they were measured differs from that of the point.
+// Nearer returns are ignored: the azimuth at which they were measured differs from that of the point.
 constexpr float NEAREST_M = 2.0f;
 
-// Widths of the bins of elevation, in their sine: for steps above 10 cm, above 5 cm, and below.
+// Bin widths of the elevation histogram, in the sine: for steps above 10 cm, above 5 cm, and below.
 constexpr double DEGREE = std::numbers::pi / 180;
 constexpr double COARSE_BIN = 0.2 * DEGREE, FINE_BIN = 0.1 * DEGREE, FINEST_BIN = 0.03 * DEGREE;
 constexpr double COARSE_STEP_M = 0.1, FINE_STEP_M = 0.05;
 
-// Elevations that gather in the finest bins as much as in the widest ones are sharp, smooth ones 0.15 times as much. A
-// motion with a larger share than the first is taken at once. With a smaller one than the second from any place of the
-// first seam the sensor has no rings, or the points are not in its frame.
+// Sharpness: concentration in the finest bins relative to the widest ones; 1 is sharp, about 0.15 is smooth. A motion
+// above SHARP is accepted at once. If all motions of the first seam are below SMOOTH, there are no rings, or the points
+// are in another frame.
 constexpr double SHARP = 0.8, SMOOTH = 0.26;
 
-// The azimuth at which a point was measured and the place of the sensor at that time, each from the other, this number of times.
-constexpr int TIMES = 3;
+// Fixed-point iterations between the azimuth at which a point was measured and the sensor's position at that time.
+constexpr int ITERATIONS = 3;
 
 constexpr std::size_t PART = 16384;
 
-using Way = std::array<double, 3>;
+using Vector = std::array<double, 3>;
 
-// The part of a turn from the place where the sensor was at the origin to an azimuth.
+// Return the fraction of a turn from the sensor at the origin to an azimuth.
 INLINE float turn_at(float azimuth, float seam, float reference) {
     const float part = (azimuth - seam) * float(0.5 / std::numbers::pi);
     return part - std::floor(part) - reference;
 }
 
-// Write the part of the turn at which points were measured, by their azimuth, and then where they were seen.
-MULTIVERSION void step_back(const float* x, const float* y, std::size_t count, const float* way_m, float seam,
+// Write the fraction of the turn at which points were measured, by their azimuth, and then their measured x and y.
+MULTIVERSION void step_back(const float* x, const float* y, std::size_t count, const float* shift_m, float seam,
                             float reference, float* u, float* v, float* turn) {
     for (std::size_t k = 0; k < count; ++k) {
         const float part = turn_at(azimuth_of(v[k], u[k]), seam, reference);
         turn[k] = part;
-        u[k] = x[k] - part * way_m[0];
-        v[k] = y[k] - part * way_m[1];
+        u[k] = x[k] - part * shift_m[0];
+        v[k] = y[k] - part * shift_m[1];
     }
 }
 
-// Some returns by columns, and the part of the turn at which each was measured.
+// Sampled returns, and the fraction of the turn at which each was measured.
 struct Returns {
     std::vector<float> x, y, z, turn;
 };
 
-// Write the bin of the sine of each elevation after a motion.
+// Write the histogram bin of the sine of each elevation with a motion undone.
 MULTIVERSION void place_elevations(const float* x, const float* y, const float* z, const float* turn, std::size_t count,
-                                   const float* way_m, float half, float last, std::int32_t* position) {
-    const float dx = way_m[0], dy = way_m[1], dz = way_m[2];
+                                   const float* shift_m, float half, float last, std::int32_t* position) {
+    const float dx = shift_m[0], dy = shift_m[1], dz = shift_m[2];
     for (std::size_t k = 0; k < count; ++k) {
         const float u = x[k] - turn[k] * dx, v = y[k] - turn[k] * dy, w = z[k] - turn[k] * dz;
         const float at = (w / std::sqrt(u * u + v * v + w * w) + 1.0f) * half;
-        // Whatever underflow makes of a sine, it lies in the histogram.
+        // Clamp to the histogram, even after underflow.
         const float inside = at > 0.0f ? at : 0.0f;
         position[k] = std::int32_t(inside < last ? inside : last);
     }
 }
 
-// How much the elevations of the first `count` returns gather after a motion: the sum of squares of their histogram.
-std::int64_t gather(const Returns& returns, std::size_t count, const Way& way_m, double bin_sine) {
+// Return the concentration of the elevations of the first `count` returns with a motion undone: the histogram's sum of
+// squares.
+std::int64_t concentration(const Returns& returns, std::size_t count, const Vector& shift_m, double bin_sine) {
     constexpr auto MOST_BINS = std::size_t(2.0 / FINEST_BIN) + 1;
     const auto bins = std::size_t(2.0 / bin_sine) + 1;
-    const std::array<float, 3> way{float(way_m[0]), float(way_m[1]), float(way_m[2])};
+    const std::array<float, 3> shift{float(shift_m[0]), float(shift_m[1]), float(shift_m[2])};
     std::int32_t position[SAMPLE];
-    place_elevations(returns.x.data(), returns.y.data(), returns.z.data(), returns.turn.data(), count, way.data(),
+    place_elevations(returns.x.data(), returns.y.data(), returns.z.data(), returns.turn.data(), count, shift.data(),
                      float(0.5 * double(bins - 1)), float(bins - 1), position);
     std::uint16_t counts[MOST_BINS];
     std::fill_n(counts, bins, std::uint16_t{0});
@@ -105,54 +106,54 @@ std::int64_t gather(const Returns& returns, std::size_t count, const Way& way_m,
     return squares;
 }
 
-// The way by which the elevations of returns gather most, and how much in the finest and in the widest bins.
-struct BestWay {
-    Way way_m;
+// The best displacement, and its concentration in the finest and in the widest bins.
+struct BestShift {
+    Vector shift_m;
     std::int64_t gathered, widely;
 };
 
-BestWay search(const Returns& returns) {
-    // 1. Level ways, by a few of the returns.
+BestShift search(const Returns& returns) {
+    // 1. Coarse search on a few of the returns.
     const std::size_t count = returns.x.size();
     const std::size_t few = std::min(FEW, count);
-    Way way_m{};
-    std::int64_t best = gather(returns, few, way_m, COARSE_BIN);
+    Vector shift_m{};
+    std::int64_t best = concentration(returns, few, shift_m, COARSE_BIN);
     constexpr int STEPS = int(FARTHEST_M / STEP_M);
     for (int heading = 0; heading < HEADINGS; ++heading) {
         const double angle = heading * std::numbers::pi / HEADINGS;
         for (int k = -STEPS; k <= STEPS; ++k) {
             for (int climb = -1; climb <= 1; ++climb) {
-                const Way tried{k * STEP_M * std::cos(angle), k * STEP_M * std::sin(angle), k * STEP_M * climb * CLIMB};
-                const std::int64_t gathered = gather(returns, few, tried, COARSE_BIN);
+                const Vector candidate{k * STEP_M * std::cos(angle), k * STEP_M * std::sin(angle), k * STEP_M * climb * CLIMB};
+                const std::int64_t gathered = concentration(returns, few, candidate, COARSE_BIN);
                 if (gathered > best) {
                     best = gathered;
-                    way_m = tried;
+                    shift_m = candidate;
                 }
             }
         }
     }
-    // 2. Along each axis, by all of them: steps and bins become smaller.
+    // 2. Coordinate search on all of them, with ever smaller steps and bins.
     for (double step = STEP_M / 2; step > FINEST_M; step /= 2) {
         const double bin_sine = step > COARSE_STEP_M ? COARSE_BIN : step > FINE_STEP_M ? FINE_BIN : FINEST_BIN;
-        best = gather(returns, count, way_m, bin_sine);
+        best = concentration(returns, count, shift_m, bin_sine);
         for (int time = 0; time < IMPROVEMENTS; ++time) {
             const std::int64_t before = best;
             for (std::size_t k = 0; k < 6; ++k) {
-                Way tried = way_m;
-                tried[k / 2] += (k % 2 ? step : -step) * (k / 2 == 2 ? RISE : 1.0);
-                const std::int64_t gathered = gather(returns, count, tried, bin_sine);
+                Vector candidate = shift_m;
+                candidate[k / 2] += (k % 2 ? step : -step) * (k / 2 == 2 ? RISE : 1.0);
+                const std::int64_t gathered = concentration(returns, count, candidate, bin_sine);
                 if (gathered > best) {
                     best = gathered;
-                    way_m = tried;
+                    shift_m = candidate;
                 }
             }
             if (best == before) break;
         }
     }
-    return {way_m, best, gather(returns, count, way_m, COARSE_BIN)};
+    return {shift_m, best, concentration(returns, count, shift_m, COARSE_BIN)};
 }
 
-// A sample of the returns beyond 2 m.
+// Return a random sample of the returns beyond 2 m.
 Returns sample_of(View2<const float> points) {
     Returns returns;
     for (const std::uint32_t row : random_rows(points.rows, 2 * SAMPLE)) {
@@ -178,8 +179,8 @@ std::optional<SensorMotion> find_motion(View2<const float> points) {
     std::int64_t most = 0;
     double sharpest = 0.0;
     for (const double seam : SEAMS) {
-        // The places of the origin at once; what a former one finds counts first.
-        std::array<BestWay, REFERENCES.size()> found;
+        // Search all references in parallel; among equal results the first counts.
+        std::array<BestShift, REFERENCES.size()> found;
         for_ranges(found.size(), std::min(found.size(), threads()), [&](std::size_t, std::size_t begin, std::size_t end) {
             for (std::size_t k = begin; k < end; ++k) {
                 Returns returns = sample;
@@ -190,7 +191,7 @@ std::optional<SensorMotion> find_motion(View2<const float> points) {
         for (std::size_t k = 0; k < found.size(); ++k) {
             sharpest = std::max(sharpest, double(found[k].gathered) / double(found[k].widely));
             if (found[k].gathered > most) {
-                best = SensorMotion{found[k].way_m, seam, REFERENCES[k]};
+                best = SensorMotion{found[k].shift_m, seam, REFERENCES[k]};
                 most = found[k].gathered;
             }
             if (sharpest > SHARP) return best;
@@ -201,7 +202,7 @@ std::optional<SensorMotion> find_motion(View2<const float> points) {
 }
 
 void undo_motion(View2<const float> points, const SensorMotion& motion, View2<float> measured) {
-    const std::array<float, 3> way_m{float(motion.way_m[0]), float(motion.way_m[1]), float(motion.way_m[2])};
+    const std::array<float, 3> shift_m{float(motion.shift_m[0]), float(motion.shift_m[1]), float(motion.shift_m[2])};
     for_ranges(points.rows, count_parts(points.rows, PART), [&](std::size_t, std::size_t begin, std::size_t end) {
         float x[BLOCK], y[BLOCK], u[BLOCK], v[BLOCK], turn[BLOCK];
         for (std::size_t start = begin; start < end; start += BLOCK) {
@@ -210,13 +211,13 @@ void undo_motion(View2<const float> points, const SensorMotion& motion, View2<fl
                 u[k] = x[k] = points(start + k, 0);
                 v[k] = y[k] = points(start + k, 1);
             }
-            for (int time = 0; time < TIMES; ++time) {
-                step_back(x, y, size, way_m.data(), float(motion.seam), float(motion.reference), u, v, turn);
+            for (int time = 0; time < ITERATIONS; ++time) {
+                step_back(x, y, size, shift_m.data(), float(motion.seam), float(motion.reference), u, v, turn);
             }
             for (std::size_t k = 0; k < size; ++k) {
                 measured(start + k, 0) = u[k];
                 measured(start + k, 1) = v[k];
-                measured(start + k, 2) = points(start + k, 2) - turn[k] * way_m[2];
+                measured(start + k, 2) = points(start + k, 2) - turn[k] * shift_m[2];
             }
         }
     });

@@ -30,7 +30,7 @@ SensorModel model_of(const Row& row) {
             row.min_range_m, row.max_range_m, row.reach_m, row.fires_rings, row.is_inferred};
 }
 
-std::string plain(const std::string& name) {
+std::string normalized(const std::string& name) {
     std::string letters;
     for (const unsigned char c : name) {
         if (std::isalnum(c)) letters += char(std::tolower(c));
@@ -50,9 +50,9 @@ const std::vector<SensorModel>& shipped_sensors() {
 }
 
 const SensorModel* find_sensor(const std::string& name) {
-    const std::string wanted = plain(name);
+    const std::string key = normalized(name);
     for (const SensorModel& sensor : shipped_sensors()) {
-        if (plain(sensor.key) == wanted) return &sensor;
+        if (normalized(sensor.key) == key) return &sensor;
     }
     return nullptr;
 }

@@ -1,4 +1,4 @@
-// The beam tables that travel with the library; CMake writes them from viewshed/beam_tables/*.toml.
+// Beam tables shipped with the library; CMake generates them from viewshed/beam_tables/*.toml.
 #pragma once
 
 #include <optional>
@@ -9,22 +9,22 @@
 
 namespace viewshed {
 
-// What is known of a sensor; viewshed.sensors.LidarModel says what each is.
+// A sensor; the fields are documented in viewshed.sensors.LidarModel.
 struct SensorModel {
-    std::string key, name;  // of its table, and in full
+    std::string key, name;  // key of its table, and full name
     BeamTable beams;
     double min_range_m, max_range_m;
     std::optional<double> reach_m;
     bool fires_rings, is_inferred;
 };
 
-// Up to which range in meters a sensor sees a dark target where no table tells: the median of the shipped ones.
+// Default range in meters up to which a sensor sees a dark target: the median of the shipped sensors.
 constexpr double USUAL_REACH_M = 85.0;
 
-// All of them, in the order of their keys.
+// Return all shipped sensors, in the order of their keys.
 const std::vector<SensorModel>& shipped_sensors();
 
-// The one that a key means, whatever its case and punctuation; null where there is none.
+// Return the sensor of a key, ignoring case and punctuation; null if there is none.
 const SensorModel* find_sensor(const std::string& name);
 
 }  // namespace viewshed

@@ -10,13 +10,13 @@
 namespace viewshed {
 namespace {
 
-// Standardized shapes are cut off here, so that one that was never seen does not outweigh all others.
-constexpr float MOST = 6.0f;
+// Standardized shapes are clipped to this, so that an unseen one does not dominate.
+constexpr float MAX_DEVIATIONS = 6.0f;
 
-// Candidates of a part that is worth a thread.
+// Fewest candidates for which a part pays for its thread.
 constexpr std::size_t PART = 128;
 
-// out = in · weights + bias, without negative values where the layer is a hidden one. Sums go in the order of the inputs.
+// Compute out = in · weights + bias, with ReLU for hidden layers. Sums follow the order of the inputs.
 MULTIVERSION void apply(const float* in, const Layer& layer, bool is_hidden, float* out) {
     const std::size_t units = layer.bias.size;
     for (std::size_t u = 0; u < units; ++u) out[u] = layer.bias.data[u];
@@ -39,7 +39,7 @@ void classify_shapes(View2<const float> shapes, const ShapeNetwork& network, Vie
             const float* row = shapes[n];
             for (std::size_t k = 0; k < inputs; ++k) {
                 const float value = (row[k] - network.mean[k]) * network.scale[k];
-                one[k] = value > -MOST ? (value < MOST ? value : MOST) : -MOST;
+                one[k] = value > -MAX_DEVIATIONS ? (value < MAX_DEVIATIONS ? value : MAX_DEVIATIONS) : -MAX_DEVIATIONS;
             }
             apply(one.data(), network.layers[0], true, other.data());
             apply(other.data(), network.layers[1], true, one.data());

@@ -1,4 +1,4 @@
-// A small network over the shapes of candidates: standardized, two hidden layers, softmax.
+// A small network on the shapes of candidates: standardization, two hidden layers, softmax.
 #pragma once
 
 #include <array>
@@ -7,7 +7,7 @@
 
 namespace viewshed {
 
-// Units of a layer at most.
+// Largest number of units of a layer.
 constexpr std::size_t MOST_UNITS = 128;
 
 struct Layer {
@@ -16,11 +16,11 @@ struct Layer {
 };
 
 struct ShapeNetwork {
-    View1<const float> mean, scale;  // (S,) by which shapes are standardized
+    View1<const float> mean, scale;  // (S,) of the shapes, for standardization
     const std::array<Layer, 3>& layers;
 };
 
-// Write the probability (C, classes) of each class for shapes (C, S). Layers have at most MOST_UNITS units.
+// Write the class probabilities (C, classes) of shapes (C, S). Layers have at most MOST_UNITS units.
 void classify_shapes(View2<const float> shapes, const ShapeNetwork& network, View1<float> prob);
 
 }  // namespace viewshed

@@ -12,17 +12,17 @@ namespace {
 
 constexpr double PI64 = std::numbers::pi, FAR = 1e18;
 
-// A vertex's candidates: the smallest range of these numbers of wedges on either side, and these shares of the nearest.
+// Candidate ranges of a vertex: minima over these windows of wedges on either side, and shares of the adjacent ranges.
 constexpr std::array<std::size_t, 6> WINDOWS = {1, 2, 4, 8, 16, 32};
 constexpr std::array<double, 3> SHARES = {0.98, 0.95, 0.9};
 constexpr std::size_t CANDIDATES = 2 * (WINDOWS.size() + SHARES.size());
 
-// A box by its sides, seen from the apex.
+// Sides of a box, relative to the apex.
 struct Box {
     double left, right, bottom, top;
 };
 
-// Set to 0 the wedges that enter a box which touches or holds the apex.
+// Set to 0 the wedges that enter a box containing or touching the apex.
 void close_towards(const Box& box, View1<double> ranges) {
     const double step = 2.0 * PI64 / double(ranges.size);
     for (std::size_t k = 0; k < ranges.size; ++k) {
@@ -33,7 +33,7 @@ void close_towards(const Box& box, View1<double> ranges) {
     }
 }
 
-// Limit the wedges that meet a box's face across the axis at `base`: d / cos φ away at angle φ off the axis.
+// Limit the wedges that meet a box's face perpendicular to the direction `base`: range d / cos φ at angle φ from it.
 void limit_by_face(double near, double far, double low, double high, double base, View1<double> ranges) {
     if (near <= 0.0 && 0.0 <= far) return;
     double distance = near;
@@ -51,7 +51,7 @@ void limit_by_face(double near, double far, double low, double high, double base
         const double begin_at = std::max(first, double(k) * step - base), end_at = std::min(last, double(k + 1) * step - base);
         const double off = begin_at <= 0.0 && 0.0 <= end_at ? 0.0 : std::min(std::fabs(begin_at), std::fabs(end_at));
         double reach;
-        if (off == std::fabs(first)) {  // a corner: seen along the face, the cosine of its angle has no digits left
+        if (off == std::fabs(first)) {  // a corner: 1 / cos is inaccurate for grazing angles
             reach = std::hypot(distance, low);
         } else if (off == std::fabs(last)) {
             reach = std::hypot(distance, high);
@@ -63,11 +63,11 @@ void limit_by_face(double near, double far, double low, double high, double base
     }
 }
 
-// What a star polygon is chosen from: ranges, and CANDIDATES ascending ranges of a vertex on each wedge's first border.
+// Ranges, and CANDIDATES ascending candidate ranges of a vertex on each wedge's first border.
 struct Profile {
     View1<const double> ranges;
     std::vector<std::array<double, CANDIDATES>> radii;
-    std::vector<double> sine, cosine;  // of the angles between borders
+    std::vector<double> sine, cosine;  // of the angle between borders k apart
 
     explicit Profile(View1<const double> given) : ranges(given), radii(given.size), sine(given.size), cosine(given.size) {
         const std::size_t bins = ranges.size;
@@ -99,7 +99,7 @@ struct Vertex {
     std::size_t ray, candidate;
 };
 
-// The chain of vertices that pays most, from a candidate of a ray around to itself: dynamic programming over the rays.
+// Best closed chain of vertices from a candidate of a ray around to itself, by dynamic programming over the rays.
 class BestChain {
 public:
     BestChain(const Profile& profile, double price, Vertex start)
@@ -113,7 +113,7 @@ public:
         }
     }
 
-    // The vertices in their order; none where no chain is closed.
+    // Return the vertices in order; none if no chain closes.
     std::vector<Vertex> vertices() const {
         std::vector<Vertex> chain;
         std::size_t step = bins_, c = start_.candidate;
@@ -131,7 +131,7 @@ public:
     }
 
 private:
-    // A candidate of a ray: the most that a chain gains that arrives there, or leaves from there, and where it came from.
+    // DP state of a candidate: best gain of chains that arrive at, or leave from it, and back pointers.
     struct Node {
         double arrive = -FAR, leave = -FAR;
         std::int32_t from_step = -1, from_candidate = -1, inward = -1;
@@ -140,7 +140,7 @@ private:
     std::size_t ray_at(std::size_t step) const { return (start_.ray + step) % bins_; }
     const std::array<double, CANDIDATES>& radii(std::size_t step) const { return profile_.radii[ray_at(step)]; }
 
-    // From where each candidate of a ray is best left: reached by one vertex, or by two and a radial edge between them.
+    // Compute the best gain to leave each candidate: via one vertex, or two with a radial edge between them.
     void turn(std::size_t step) {
         auto& nodes = nodes_[step];
         std::size_t best = 0;
@@ -156,8 +156,8 @@ private:
         }
     }
 
-    // Relax every edge that leaves a vertex and stays below the ranges. A line in polar coordinates is
-    // 1/r = u cos φ + b sin φ, so that the edge is bounded by the largest b needed so far.
+    // Relax every edge from a vertex that stays below the ranges. A line in polar coordinates is 1/r = u cos φ + b sin
+    // φ, so the edge is bounded by the largest b required so far.
     void spread(std::size_t step, std::size_t c) {
         const double radius = radii(step)[c], gain = nodes_[step][c].leave;
         double slope = -FAR;
@@ -216,15 +216,15 @@ void find_free_ranges(View2<const bool> mask, const SquareGrid& grid, PlanePoint
 std::vector<StarVertex> star_vertices(View1<const double> ranges, double price_m2) {
     if (*std::min_element(ranges.begin(), ranges.end()) <= 0.0) return {};
     const Profile profile(ranges);
-    // 1. A draft that begins at the shortest range, at the farthest candidate there.
+    // 1. Draft: start at the shortest range, with its largest candidate.
     Vertex start{std::size_t(std::min_element(ranges.begin(), ranges.end()) - ranges.begin()), 0};
     const auto& first = profile.radii[start.ray];
-    const double most = std::min(profile.before(start.ray), ranges[start.ray]) * (1 + 1e-9);
-    const auto found = std::lower_bound(first.begin(), first.end(), most) - first.begin();
+    const double max_radius = std::min(profile.before(start.ray), ranges[start.ray]) * (1 + 1e-9);
+    const auto found = std::lower_bound(first.begin(), first.end(), max_radius) - first.begin();
     start.candidate = found > 0 ? std::size_t(found - 1) : CANDIDATES - 1;
     std::vector<Vertex> chain = BestChain(profile, price_m2, start).vertices();
     if (chain.size() < 3) return {};
-    // 2. The best chain through a vertex of the draft.
+    // 2. Find the best chain through a vertex of the draft.
     start = chain[chain.size() / 2];
     if (profile.radii[start.ray][start.candidate] <= profile.before(start.ray)) {
         std::vector<Vertex> better = BestChain(profile, price_m2, start).vertices();

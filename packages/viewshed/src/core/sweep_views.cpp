@@ -11,31 +11,31 @@ namespace {
 
 constexpr float NONE = std::numeric_limits<float>::infinity();
 
-// Returns between these heights above the ground are obstacles; at most MOST_OBSTACLES of a sweep are compared.
-constexpr float LEAST_HEIGHT_M = 0.3f, MOST_HEIGHT_M = 3.0f;
-constexpr std::size_t MOST_OBSTACLES = 2200;
+// Height limits of obstacles above the ground; at most MAX_OBSTACLES of a sweep are compared.
+constexpr float MIN_HEIGHT_M = 0.3f, MAX_HEIGHT_M = 3.0f;
+constexpr std::size_t MAX_OBSTACLES = 2200;
 
-// Directions in which it is known how far the air is free.
+// Number of azimuth directions for the free distance.
 constexpr int DIRECTIONS = 360;
 
-// Nothing is seen of what is nearer to the sensor than this.
+// Things nearer to the sensor are not seen.
 constexpr float BLIND_M = 2.5f;
 
-// A return belongs to a surface within this distance and share of the range; beams pass freely if they end farther beyond
-// than this.
+// Tolerance of one surface, and margin beyond a place for beams that pass it; each a distance plus a share of the
+// range.
 constexpr float SAME_M = 0.5f, SAME_SHARE = 0.02f, BEYOND_M = 1.0f, BEYOND_SHARE = 0.04f;
 
-// Half the width of what beams must pass beside a place to show that it is free, and the most columns to either side.
+// Half width of the free passage around a place, and the most columns to either side.
 constexpr float HALF_WIDTH_M = 0.4f;
-constexpr int MOST_COLUMNS = 4;
+constexpr int MAX_COLUMNS = 4;
 
-// Returns that show a free passage, of them in the ring itself.
-constexpr int LEAST_BEYOND = 4, LEAST_IN_RING = 2;
+// Fewest returns beyond a place for free passage, in total and in its own ring.
+constexpr int MIN_BEYOND = 4, MIN_IN_RING = 2;
 
-// Of the returns about a place, the share that lies beyond it where most beams pass.
-constexpr float MOST_BEYOND = 0.6f;
+// Share of the returns around a place that must lie beyond it if most beams pass.
+constexpr float PASSED_SHARE = 0.6f;
 
-// Farther than this from the beams beside it a return is of another surface.
+// A return farther than this from its neighbors lies on another surface.
 constexpr float NEAR_M = 1.0f;
 
 int direction_of(Point3 level) {
@@ -58,7 +58,7 @@ SweepView::SweepView(View2<const float> squared_m2, View1<const float> phase, Vi
       ring_of_sine_(SINES, -1),
       cover_m_(DIRECTIONS, NONE),
       sensor_from_level_(sensor_from_level) {
-    // 1. Ranges of the pixels; the ring whose beams have an elevation: the nearest, no farther than the rings are apart.
+    // 1. Pixel ranges, and the table from elevation to the nearest ring within the ring spacing.
     for (std::size_t k = 0; k < range_m_.size(); ++k) range_m_[k] = std::sqrt(squared_m2.data[k]);
     std::vector<std::pair<float, std::int16_t>> order;
     for (std::size_t r = 0; r < rings_; ++r) {
@@ -80,15 +80,15 @@ SweepView::SweepView(View2<const float> squared_m2, View1<const float> phase, Vi
         for (int s = first; s <= last; ++s) ring_of_sine_[std::size_t(s)] = order[k].second;
     }
 
-    // 2. The obstacles, and by direction the nearest of them, or the farthest ground where there is none.
+    // 2. Obstacles, and by direction the nearest obstacle, or the farthest ground without one.
     std::vector<float> ground_m(DIRECTIONS, 0.0f);
     std::vector<std::size_t> rows;
     constexpr float per_rad = float(DIRECTIONS) / (2 * PI);
     for (std::size_t n = 0; n < points.rows; ++n) {
         const auto direction = std::size_t(bin_of((azimuth[n] + PI) * per_rad, DIRECTIONS));
-        if (height_m[n] <= LEAST_HEIGHT_M) {
+        if (height_m[n] <= MIN_HEIGHT_M) {
             ground_m[direction] = std::max(ground_m[direction], range_m[n]);
-        } else if (height_m[n] < MOST_HEIGHT_M) {
+        } else if (height_m[n] < MAX_HEIGHT_M) {
             cover_m_[direction] = std::min(cover_m_[direction], range_m[n]);
             if (!isolated[n]) rows.push_back(n);
         }
@@ -96,9 +96,9 @@ SweepView::SweepView(View2<const float> squared_m2, View1<const float> phase, Vi
     for (std::size_t k = 0; k < DIRECTIONS; ++k) {
         if (cover_m_[k] == NONE) cover_m_[k] = ground_m[k];
     }
-    obstacle_step_ = rows.size() / MOST_OBSTACLES + 1;
+    obstacle_step_ = rows.size() / MAX_OBSTACLES + 1;
     obstacles_.reserve(rows.size() / obstacle_step_ + 1);
-    // One of each step's, not always the same: else only some rings, or some columns, would be taken.
+    // Sample one of each step at random: a fixed one would select certain rings or columns only.
     std::uint32_t random = 1;
     for (std::size_t k = 0; k < rows.size(); k += obstacle_step_) {
         random = random * 1664525u + 1013904223u;
@@ -110,7 +110,7 @@ SweepView::SweepView(View2<const float> squared_m2, View1<const float> phase, Vi
 SweepView::Pixel SweepView::pixel_of(Point3 p) const {
     const float range_m = std::sqrt(p.x * p.x + p.y * p.y + p.z * p.z);
     if (!(range_m > 1e-3f && range_m < 1e6f)) return {-1, 0, 0.0f, range_m};
-    // The ring seen from the sensor's origin, then from where the beams of that ring start.
+    // Look the ring up from the sensor's origin, then from that ring's own origin.
     int ring = ring_at(p.z / range_m);
     if (ring < 0) return {-1, 0, 0.0f, range_m};
     if (origin_m_[std::size_t(ring)] != 0.0f) {
@@ -139,13 +139,13 @@ Point3 SweepView::at(int ring, int column, float range_m) const {
 Seen SweepView::look_at(Point3 p) const {
     const Pixel pixel = pixel_of(p);
     if (pixel.ring < 0) return Seen::UNKNOWN;
-    // Most places are those of a surface that this sweep saw with the same beam.
+    // Shortcut: most places lie on a surface seen with the same beam.
     const float same_m = SAME_M + SAME_SHARE * pixel.range_m;
     if (std::fabs(ring(std::size_t(pixel.ring))[pixel.column] - pixel.range_m) <= same_m) return Seen::OCCUPIED;
-    // The ring at the place and the one above it, as many columns to either side as half a meter is wide. Beams of the ring
-    // below may end on the ground before it.
+    // Check the ring at the place and the one above, over a width of HALF_WIDTH_M to either side. The ring below may
+    // hit the ground.
     const float step_m = pixel.range_m * (2 * PI / float(columns_));
-    const int half = std::clamp(int(std::ceil(HALF_WIDTH_M / step_m)), 1, MOST_COLUMNS);
+    const int half = std::clamp(int(std::ceil(HALF_WIDTH_M / step_m)), 1, MAX_COLUMNS);
     const float beyond_m = pixel.range_m + BEYOND_M + BEYOND_SHARE * pixel.range_m;
     int returns = 0, beyond = 0, beyond_in_ring = 0;
     float nearest_m = NONE, farthest_m = 0.0f;
@@ -163,7 +163,7 @@ Seen SweepView::look_at(Point3 p) const {
     }
     if (returns == 0) return Seen::UNKNOWN;
     if (nearest_m <= pixel.range_m + same_m && farthest_m >= pixel.range_m - same_m) return Seen::OCCUPIED;
-    if (beyond == returns && beyond >= LEAST_BEYOND && beyond_in_ring >= LEAST_IN_RING) return Seen::FREE;
+    if (beyond == returns && beyond >= MIN_BEYOND && beyond_in_ring >= MIN_IN_RING) return Seen::FREE;
     return Seen::UNKNOWN;
 }
 
@@ -171,7 +171,7 @@ bool SweepView::is_passed(Point3 p) const {
     const Pixel pixel = pixel_of(p);
     if (pixel.ring < 0) return false;
     const float step_m = pixel.range_m * (2 * PI / float(columns_));
-    const int half = std::clamp(int(std::ceil(HALF_WIDTH_M / step_m)), 1, MOST_COLUMNS);
+    const int half = std::clamp(int(std::ceil(HALF_WIDTH_M / step_m)), 1, MAX_COLUMNS);
     const float beyond_m = pixel.range_m + BEYOND_M + BEYOND_SHARE * pixel.range_m;
     const float* row = ring(std::size_t(pixel.ring));
     int returns = 0, beyond = 0;
@@ -180,7 +180,7 @@ bool SweepView::is_passed(Point3 p) const {
         returns += range_m < NONE;
         beyond += range_m > beyond_m && range_m < NONE;
     }
-    return beyond >= 2 && beyond >= MOST_BEYOND * float(returns);
+    return beyond >= 2 && beyond >= PASSED_SHARE * float(returns);
 }
 
 float SweepView::range_difference(Point3 p) const {
@@ -194,7 +194,7 @@ float SweepView::range_difference(Point3 p) const {
 }
 
 Point3 SweepView::leveled(Point3 p) const {
-    const auto& m = sensor_from_level_.m;  // its rotation, transposed
+    const auto& m = sensor_from_level_.m;  // apply its transposed rotation
     return {m[0] * p.x + m[4] * p.y + m[8] * p.z, m[1] * p.x + m[5] * p.y + m[9] * p.z,
             m[2] * p.x + m[6] * p.y + m[10] * p.z};
 }
@@ -208,21 +208,21 @@ float SweepView::distance_to_cover(Point3 p) const {
     const Point3 level = leveled(p);
     const float range_m = std::sqrt(level.x * level.x + level.y * level.y);
     const int middle = direction_of(level);
-    float least = std::min(cover_m_[std::size_t(middle)] - range_m, range_m - BLIND_M);
-    // Directions to either side, until the distance to their lines is greater than what was found.
-    for (int k = 1; k <= DIRECTIONS / 2 && least > 0.0f; ++k) {
+    float nearest_cover_m = std::min(cover_m_[std::size_t(middle)] - range_m, range_m - BLIND_M);
+    // Search directions to either side until the distance to their lines exceeds the minimum.
+    for (int k = 1; k <= DIRECTIONS / 2 && nearest_cover_m > 0.0f; ++k) {
         const float turn = float(k) * (2 * PI / float(DIRECTIONS));
         const float aside = k < DIRECTIONS / 4 ? range_m * std::sin(turn) : range_m;
-        if (aside >= least) break;
+        if (aside >= nearest_cover_m) break;
         const float along = range_m * std::cos(turn);
         for (const int direction : {middle - k, middle + k}) {
             const float cover_m = cover_m_[std::size_t((direction + DIRECTIONS) % DIRECTIONS)];
             const float ahead = std::max(cover_m - along, 0.0f);
             const float across = range_m * std::sin(turn);
-            least = std::min(least, std::sqrt(ahead * ahead + across * across));
+            nearest_cover_m = std::min(nearest_cover_m, std::sqrt(ahead * ahead + across * across));
         }
     }
-    return std::max(least, 0.0f);
+    return std::max(nearest_cover_m, 0.0f);
 }
 
 }  // namespace viewshed

@@ -1,4 +1,4 @@
-// What a sweep saw, so that it can be held against sweeps before and after it.
+// The view of a sweep, to be compared with sweeps before and after it.
 #pragma once
 
 #include <array>
@@ -13,12 +13,12 @@ struct Point3 {
     float x, y, z;
 };
 
-// The bin of a position, of `count`; the first for what is no number.
+// Return the bin of a position, clamped to [0, count); 0 for NaN.
 inline int bin_of(float position, int count) {
     return position > 0.0f ? (position < float(count) ? int(position) : count - 1) : 0;
 }
 
-// Rotation and shift (3, 4), from one frame to another.
+// Rotation and shift (3, 4) from one frame to another.
 struct Transform {
     std::array<float, 12> m;
 
@@ -28,16 +28,17 @@ struct Transform {
     }
 };
 
-// What is found of a place where another sweep looked: an obstacle about there, free passage far beyond, or nothing that is known
-// (hidden, not looked at, without a return, at an edge).
+// State of a place as seen by another sweep: an obstacle near it, free passage far beyond it, or unknown (occluded, not
+// scanned, without a return, at an edge).
 enum class Seen : std::uint8_t { UNKNOWN, OCCUPIED, FREE };
 
-// A sweep's range image, its obstacles, and how far the air at their heights is free, by azimuth.
+// Range image of a sweep, its obstacles, and the free distance at their heights by azimuth.
 class SweepView {
 public:
-    // squared_m2 (rings, columns) and phase (rings,) of the range image, elevation (rings,) radians of the rings, whose beams
-    // start origin_m (rings,) above the sensor's origin; points (M, 3) in the level frame with height_m above the ground, horizontal range_m, azimuth and whether they are isolated (M,);
-    // sensor_from_level as a transform.
+    // Take squared_m2 (rings, columns) and phase (rings,) of the range image; elevation (rings,) in radians and
+    // origin_m (rings,), the height of the beams' start above the sensor's origin; points (M, 3) in the level frame
+    // with height_m above the ground, horizontal range_m, azimuth and isolated mask (M,); and the transform
+    // sensor_from_level.
     SweepView(View2<const float> squared_m2, View1<const float> phase, View1<const float> elevation,
               View1<const float> origin_m, View2<const float> points, View1<const float> height_m, View1<const float> range_m,
               View1<const float> azimuth, View1<const bool> isolated, const Transform& sensor_from_level);
@@ -45,42 +46,42 @@ public:
     std::size_t rings() const { return rings_; }
     std::size_t columns() const { return columns_; }
     const std::vector<Point3>& obstacles() const { return obstacles_; }
-    // The number of returns that each obstacle stands for.
+    // Number of returns that each obstacle stands for.
     std::size_t obstacle_step() const { return obstacle_step_; }
     const float* ring(std::size_t r) const { return range_m_.data() + r * columns_; }
 
-    // The pixel whose beam points at p in the sensor's frame; a ring of -1 where none does.
+    // Pixel whose beam points at p in the sensor's frame; ring -1 for none.
     struct Pixel {
         int ring, column;
-        float aside;  // from the middle of the column, in columns, -0.5 to 0.5
+        float aside;  // offset from the column's center, in columns, -0.5 to 0.5
         float range_m;
     };
     Pixel pixel_of(Point3 p) const;
 
-    // Upright area m2 that the beam of one pixel covers at p.
+    // Return the vertical area in m² that one pixel covers at p.
     float area_of_pixel(Point3 p) const;
 
-    // Where the beam of a pixel ends at a range, in the sensor's frame.
+    // Return the point on the beam of a pixel at a range, in the sensor's frame.
     Point3 at(int ring, int column, float range_m) const;
 
-    // What this sweep found about a place p in its sensor's frame.
+    // Return the state of a place p in the sensor's frame.
     Seen look_at(Point3 p) const;
 
-    // Whether most beams of the ring at p end far beyond it; an attacker who wins not all of them leaves some that do not.
+    // Check if most beams of the ring at p end far beyond it; not all, since an attacker may control some.
     bool is_passed(Point3 p) const;
 
-    // The difference of range from this sweep's surface to p, in the sensor's frame, between the two beams beside p; NaN
-    // where they do not end on one surface near p.
+    // Return the range difference from this sweep's surface to p, interpolated between the two beams beside p; NaN if
+    // they do not end on one surface near p.
     float range_difference(Point3 p) const;
 
-    // Horizontal distance from p in the sensor's frame to the nearest place where something may have been: behind or at an
-    // obstacle, where nothing was seen, or too near to the sensor. 0 where p itself is such a place.
+    // Return the horizontal distance from p to the nearest cover, where something may have been: at or behind an
+    // obstacle, in an unseen area, or too near to the sensor. 0 if p itself is in cover.
     float distance_to_cover(Point3 p) const;
 
-    // p in the sensor's frame, turned level; the sensor stays the origin.
+    // Rotate p from the sensor's frame to level; the origin stays at the sensor.
     Point3 leveled(Point3 p) const;
 
-    // The sector of azimuth in the level frame, of `sectors` from -pi on, of p in the sensor's frame.
+    // Return the azimuth sector in the level frame, of `sectors` from -π on, of p in the sensor's frame.
     int sector_of(Point3 p, int sectors) const;
 
 private:
@@ -91,7 +92,7 @@ private:
 
     int ring_at(float sine) const { return ring_of_sine_[std::size_t(bin_of((sine + 1.0f) * (SINES / 2), SINES))]; }
 
-    // Steps of the sine of the elevation from -1 to 1, in the table of rings.
+    // Size of the table from sine of elevation to ring.
     static constexpr int SINES = 4096;
 
     std::size_t rings_, columns_;

@@ -1,4 +1,4 @@
-// What lets the compiler write vectors: loops compiled for several processors; arctangent, logarithm and power without branches.
+// Helpers for vectorized loops: compilation for several processors; branch-free arctangent, logarithm and power.
 #pragma once
 
 #include <bit>
@@ -7,8 +7,8 @@
 #include <cstdint>
 #include <numbers>
 
-// A function that is compiled for several generations of x86 processors; the one that runs is chosen when the module is
-// loaded. Functions that it inlines come along, so helpers are INLINE. Sanitizers start after that choice: without it.
+// Compile a function for several generations of x86 processors; the loader chooses one. Inlined functions are included,
+// so helpers are INLINE. Sanitizers start after that choice, so they do without.
 #if defined(__x86_64__) && defined(__linux__) && !defined(VIEWSHED_SANITIZE)
 #define MULTIVERSION __attribute__((target_clones("arch=x86-64-v4", "arch=x86-64-v3", "default")))
 #else
@@ -20,17 +20,16 @@ namespace viewshed {
 
 constexpr float PI = std::numbers::pi_v<float>;
 
-// Points of a block: columns of this length stay in the nearest memory.
+// Points of a block: columns of this length stay in the L1 cache.
 constexpr std::size_t BLOCK = 1024;
 
-// Inputs that go through a small network at once, and one number of each. Their features are cut off this many standard
-// deviations from their mean.
+// Inputs that pass through a small network at once. Features are clipped to this many standard deviations.
 constexpr std::size_t AT_ONCE = 16;
 typedef float Lanes __attribute__((vector_size(AT_ONCE * sizeof(float))));
 constexpr float MOST_DEVIATIONS = 6.0f;
 
-// The azimuth of (x, y) in [-π, π) radians, within 2e-5; 0 at the origin. A minimax polynomial of the arctangent on
-// [0, 1], odd, to the eleventh power.
+// Return the azimuth of (x, y) in [-π, π) radians, within 2e-5; 0 at the origin. An odd minimax polynomial of degree 11
+// on [0, 1].
 INLINE float azimuth_of(float y, float x) {
     const float ax = std::fabs(x), ay = std::fabs(y);
     const float small = ax < ay ? ax : ay, large = ax < ay ? ay : ax;
@@ -47,7 +46,7 @@ INLINE float azimuth_of(float y, float x) {
     return a >= PI ? -PI : a;
 }
 
-// The logarithm (base 2) of a positive number within 1e-5, by a polynomial of its mantissa.
+// Return log2(x), x > 0, within 1e-5, by a polynomial of the mantissa.
 INLINE float log2_of(float x) {
     const auto bits = std::bit_cast<std::uint32_t>(x);
     const float m = std::bit_cast<float>((bits & 0x7fffffu) | 0x3f800000u), exponent = float(std::int32_t(bits >> 23) - 127);
@@ -59,7 +58,7 @@ INLINE float log2_of(float x) {
     return exponent + (p * m + -3.02832497f);
 }
 
-// 2 to the power of x, x in [-120, 120], within a share of 1e-6.
+// Return 2^x, x in [-120, 120], with a relative error below 1e-6.
 INLINE float exp2_of(float x) {
     const auto toward_zero = std::int32_t(x);
     const auto whole = toward_zero - std::int32_t(x < float(toward_zero));
@@ -71,7 +70,7 @@ INLINE float exp2_of(float x) {
     return (p * part + 0.99999977f) * std::bit_cast<float>(std::uint32_t(whole + 127) << 23);
 }
 
-// exp(x), x in [-40, 80].
+// Return exp(x), x in [-40, 80].
 INLINE float exp_of(float x) {
     const float log2 = 1.442695f * x;
     return exp2_of(log2 > -60.0f ? log2 : -60.0f);

@@ -14,45 +14,45 @@
 namespace viewshed {
 namespace {
 
-// Beams may pass so far below the ground: the tolerance of a measured ground.
+// Beams may pass this far below the estimated ground, the tolerance for ground height.
 constexpr float BELOW_GROUND_M = 0.3f;
 
-// Beams that aim at a target are counted by slope, in SLOPE_BINS from -SLOPE_LIMIT to SLOPE_LIMIT.
+// Histogram of beam slopes, for beams that aim at a target: SLOPE_BINS bins over ±SLOPE_LIMIT.
 constexpr std::size_t SLOPE_BINS = 512;
 constexpr float SLOPE_LIMIT = 1.0f, PER_SLOPE = float(SLOPE_BINS / (2 * SLOPE_LIMIT));
 
-// Range bins are counted in whole vectors of this many.
+// Range bins are padded to a multiple of this vector length.
 constexpr std::size_t VECTOR = 16;
 
-// A cell farther than this number of its sides has no bins.
+// Cells must be nearer than this many cell sizes.
 constexpr double MOST_RANGE_BINS = 1e6;
 
-// Beams of a part that is worth a thread; beams and cells of a sweep that is.
+// Fewest beams for which a part pays for its thread; fewest beams and cells for which a sweep does.
 constexpr std::size_t PART = 8192, WORTH = 32768;
 
 constexpr float INFINITE = std::numeric_limits<float>::infinity();
 
-// The slopes of beams that pass a target's foot and its top: rows of a sector's limits, one pair for each ground.
+// Rows of slope limits of a sector: the slopes of a target's foot and top, for each of three grounds.
 constexpr std::size_t LIMITS = 6;
 
-// A beam of a column: its slope, and the last range bin that it reaches with each of its depths, -1 for none.
+// A beam of an azimuth column: its slope, and the last range bin that it reaches with each of its depths, -1 for none.
 template <std::size_t COUNT>
 struct Beam {
     float slope;
     std::int32_t last[COUNT];
 };
 
-// Beams by column; those above every target lie behind the last one.
+// Beams sorted by column; beams above every target come after the last column.
 template <std::size_t COUNT>
 struct Columns {
     const Beam<COUNT>* beams;
     const std::uint32_t* first;  // (AZIMUTH_COLUMNS + 1,)
 };
 
-// Two vectors of four in one, for __builtin_shufflevector.
+// Concatenate two vectors of four by __builtin_shufflevector.
 #define JOINED 0, 1, 2, 3, 4, 5, 6, 7
 
-// What the segments are counted from, and where.
+// Inputs and outputs of the segment sums.
 struct Job {
     const CellWindows* windows;
     Columns<1> measured;
@@ -71,7 +71,7 @@ INLINE float clamped(float at, float last) {
 
 // 1. Slopes.
 
-// Write the bilinear mean of four nodes around each position of a block.
+// Interpolate lattice values bilinearly at the positions of a block.
 INLINE void mix_nodes(const float* __restrict values, std::uint32_t nodes, std::size_t size, const std::int32_t* __restrict at,
                       const float* __restrict down, const float* __restrict right, float* __restrict out) {
     for (std::size_t k = 0; k < size; ++k) {
@@ -82,7 +82,7 @@ INLINE void mix_nodes(const float* __restrict values, std::uint32_t nodes, std::
     }
 }
 
-// Write the limits (LIMITS, stride) of one sector.
+// Write the slope limits (LIMITS, stride) of one sector.
 MULTIVERSION void write_limits(const CellWindows& windows, const TargetGround& ground, float target_height_m,
                                const float* deviations, std::size_t sector, float* limits) {
     const double azimuth = (double(sector) + 0.5) * (2 * std::numbers::pi / GROUND_SECTORS) - std::numbers::pi;
@@ -93,7 +93,7 @@ MULTIVERSION void write_limits(const CellWindows& windows, const TargetGround& g
     for (std::size_t start = 0; start < stride; start += BLOCK) {
         const std::size_t size = std::min(BLOCK, stride - start);
         const float *range_m = windows.bin_range_m.data() + start, *per_range = windows.per_range.data() + start;
-        // The ground and its deviation, bilinear between four nodes.
+        // Interpolate the ground and its standard deviation bilinearly.
         std::int32_t at[BLOCK];
         float down[BLOCK], right[BLOCK], foot_m[BLOCK], deviation_m[BLOCK];
         for (std::size_t k = 0; k < size; ++k) {
@@ -107,7 +107,7 @@ MULTIVERSION void write_limits(const CellWindows& windows, const TargetGround& g
         mix_nodes(ground.heights_m.data, nodes, size, at, down, right, foot_m);
         for (std::size_t k = 0; k < size; ++k) foot_m[k] -= ground.sensor_height_m;
         if (deviations != nullptr) mix_nodes(ground.std_m.data, nodes, size, at, down, right, deviation_m);
-        // As slopes: of the ground as it was estimated, of a lower and of a higher one.
+        // Convert to slopes: for the estimated ground, a lower and a higher one.
         for (std::size_t pair = 0; pair < LIMITS / 2; ++pair) {
             float *const foot = limits + 2 * pair * stride + start, *const top = foot + stride;
             const float shift = pair == 0 || deviations == nullptr ? 0.0f : deviations[pair - 1];
@@ -118,14 +118,15 @@ MULTIVERSION void write_limits(const CellWindows& windows, const TargetGround& g
             }
         }
     }
-    // Nothing passes between the foot and the top of the bins that fill the last vector.
+    // The bins that pad the last vector match no beam.
     for (std::size_t row = 0; row < LIMITS; ++row) {
         for (std::size_t k = bins; k < stride; ++k) limits[row * stride + k] = row % 2 == 0 ? INFINITE : -INFINITE;
     }
 }
 
-// Of one sector, write the highest top of a target in the bins up to each vector of bins, and the lowest foot in those from it
-// on: steeper beams pass above all before it, or end below all behind it. Return the highest top of all.
+// Write, for each vector of bins of a sector, the highest top of a target in the bins up to it and the lowest foot in
+// the bins from it on: a beam above that top passes over every target up to there, and a beam below that foot ends
+// before every target from there on. Return the highest top of all.
 MULTIVERSION float write_spans(const float* limits, std::size_t stride, float* highest_top, float* lowest_foot) {
     const std::size_t vectors = stride / VECTOR;
     for (std::size_t v = 0; v < vectors; ++v) {
@@ -147,7 +148,7 @@ MULTIVERSION float write_spans(const float* limits, std::size_t stride, float* h
 
 // 2. Beams by column.
 
-// Write the column of each beam of a block, AZIMUTH_COLUMNS for one above `highest`.
+// Write the azimuth column of each beam of a block, AZIMUTH_COLUMNS for beams above slope `highest`.
 MULTIVERSION void find_columns(const float* azimuth, const float* slope, std::size_t count, float highest,
                                std::uint16_t* column) {
     constexpr float PER_RAD = float(AZIMUTH_COLUMNS / (2 * std::numbers::pi));
@@ -157,7 +158,7 @@ MULTIVERSION void find_columns(const float* azimuth, const float* slope, std::si
     }
 }
 
-// Write the last bin of each beam of a block. A beam reaches a cell if its depth does, less one cell.
+// Write the last range bin that each beam of a block reaches: the cell's range is at most its depth plus one cell.
 MULTIVERSION void find_last_bins(const float* depth_m, std::size_t count, float cell_m, float farthest, std::int32_t* last) {
     for (std::size_t n = 0; n < count; ++n) {
         float bin = depth_m[n] / cell_m + 0.5f;
@@ -166,8 +167,7 @@ MULTIVERSION void find_last_bins(const float* depth_m, std::size_t count, float 
     }
 }
 
-// Beams by column, those up to the slope `highest`. The order within a column does not matter: what is counted are whole
-// numbers.
+// Beams sorted by column, up to slope `highest`. Their order within a column does not matter: the counts are integers.
 template <std::size_t COUNT>
 struct SortedBeams {
     Buffer<Beam<COUNT>> beams;
@@ -181,7 +181,7 @@ struct SortedBeams {
         const std::size_t size = azimuth.size, parts = count_parts(size, PART);
         Buffer<std::uint16_t> column(size);
         Buffer<std::uint32_t> counts(parts * BUCKETS);
-        // Each part counts its share; then its place in a column lies behind those of the parts before.
+        // Each part counts its beams by column. Its position in a column follows those of the parts before it.
         for_ranges(parts, parts, [&](std::size_t part, std::size_t, std::size_t) {
             const std::size_t begin = size * part / parts, end = size * (part + 1) / parts;
             std::uint32_t* const count = &counts[part * BUCKETS];
@@ -201,11 +201,11 @@ struct SortedBeams {
             std::uint32_t* const next = &counts[part * BUCKETS];
             std::int32_t last[COUNT][BLOCK];
             for (std::size_t n = size * part / parts, end = size * (part + 1) / parts; n < end; n += BLOCK) {
-                const std::size_t some = std::min(BLOCK, end - n);
+                const std::size_t block_size = std::min(BLOCK, end - n);
                 for (std::size_t d = 0; d < COUNT; ++d) {
-                    find_last_bins(depth_m[d].data + n, some, windows.cell_m, float(windows.bins - 1), last[d]);
+                    find_last_bins(depth_m[d].data + n, block_size, windows.cell_m, float(windows.bins - 1), last[d]);
                 }
-                for (std::size_t k = 0; k < some; ++k) {
+                for (std::size_t k = 0; k < block_size; ++k) {
                     Beam<COUNT>& beam = beams[next[column[n + k]]++];
                     beam.slope = slope[n + k];
                     for (std::size_t d = 0; d < COUNT; ++d) beam.last[d] = last[d][k];
@@ -219,12 +219,12 @@ struct SortedBeams {
 
 // 3. Sums over columns.
 
-// Whole vectors up to a range bin.
+// Return the number of vectors that cover the bins up to `bin`.
 INLINE std::size_t vectors_to(std::int32_t bin) { return std::size_t(bin + std::int32_t(VECTOR)) / VECTOR; }
 
-// Count the beams of a column in the range bins that they reach: their slope lies between foot and top, and they ended no
-// nearer. `own` (COUNT, stride) holds the counts to each depth, lower and higher those to the first one on other ground.
-// `spans` are those of the sector. Return how many bins were looked at.
+// Count the beams of a column in the range bins that they hit: their slope lies between foot and top, and they ended no
+// nearer. `own` (COUNT, stride) gets the counts for each depth; `lower` and `higher` get those of the first depth on
+// other ground. `spans` belongs to the sector. Return the number of bins visited.
 template <bool SHIFTED, std::size_t COUNT>
 INLINE std::size_t count_column(const Columns<COUNT>& columns, std::size_t column, const float* __restrict limits,
                                 std::size_t stride, const float* __restrict spans, std::int32_t* __restrict own,
@@ -240,7 +240,7 @@ INLINE std::size_t count_column(const Columns<COUNT>& columns, std::size_t colum
             last[d] = beam.last[d];
             farthest = last[d] > farthest ? last[d] : farthest;
         }
-        // Whole vectors: the bins beyond the last one are masked. Most beams pass above the first ones, or end before the last.
+        // Process whole vectors and mask the bins beyond the last. Most beams pass above the first, or end early.
         std::size_t begin = 0, end = vectors_to(farthest);
         while (begin < end && s > highest_top[begin]) ++begin;
         while (begin < end && s < lowest_foot[end - 1]) --end;
@@ -261,7 +261,7 @@ INLINE std::size_t count_column(const Columns<COUNT>& columns, std::size_t colum
     return most * VECTOR;
 }
 
-// Turn four vectors of four into their columns.
+// Transpose four vectors of four.
 INLINE void transpose(Four& a, Four& b, Four& c, Four& d) {
     const Four ab_low = __builtin_shufflevector(a, b, 0, 4, 1, 5), ab_high = __builtin_shufflevector(a, b, 2, 6, 3, 7);
     const Four cd_low = __builtin_shufflevector(c, d, 0, 4, 1, 5), cd_high = __builtin_shufflevector(c, d, 2, 6, 3, 7);
@@ -271,16 +271,16 @@ INLINE void transpose(Four& a, Four& b, Four& c, Four& d) {
     d = __builtin_shufflevector(ab_high, cd_high, 2, 3, 6, 7);
 }
 
-// Take four counts, and leave none.
+// Convert four counts to float and reset them to 0.
 INLINE void take_counts(std::int32_t* counts, Four& taken) {
-    typedef std::int32_t Whole __attribute__((vector_size(sizeof(Four))));
-    Whole whole;
-    std::memcpy(&whole, counts, sizeof(whole));
-    taken = __builtin_convertvector(whole, Four);
-    std::memset(counts, 0, sizeof(whole));
+    typedef std::int32_t Ints __attribute__((vector_size(sizeof(Four))));
+    Ints ints;
+    std::memcpy(&ints, counts, sizeof(ints));
+    taken = __builtin_convertvector(ints, Four);
+    std::memset(counts, 0, sizeof(ints));
 }
 
-// Add how many beams of the sector lie in each bin of slope.
+// Add the beams of a sector to a histogram of their slopes.
 template <std::size_t COUNT>
 INLINE void add_slopes(const Columns<COUNT>& columns, std::size_t sector, std::uint32_t* bins) {
     const std::uint32_t* first = columns.first + sector * SECTOR_COLUMNS;
@@ -290,7 +290,7 @@ INLINE void add_slopes(const Columns<COUNT>& columns, std::size_t sector, std::u
     }
 }
 
-// Write how many beams of the sector lie below the edge of each bin of slope.
+// Write how many beams of a sector lie below the lower edge of each slope bin.
 INLINE void count_slopes(const Job& job, std::size_t sector, std::uint32_t* below) {
     for (std::size_t q = 0; q <= SLOPE_BINS; ++q) below[q] = 0;
     add_slopes(job.measured, sector, below + 1);
@@ -298,20 +298,20 @@ INLINE void count_slopes(const Job& job, std::size_t sector, std::uint32_t* belo
     for (std::size_t q = 0; q < SLOPE_BINS; ++q) below[q + 1] += below[q];
 }
 
-// The beams below a slope, linearly between the edges of two bins.
+// Interpolate the number of beams below a slope linearly between bin edges.
 INLINE float beams_below(const float* below, float slope) {
     const float at = clamped((slope + SLOPE_LIMIT) * PER_SLOPE, float(SLOPE_BINS) - 0.001f);
     const auto q = std::int32_t(at);
     return below[q] + (at - float(q)) * (below[q + 1] - below[q]);
 }
 
-// Sum the beams of one segment over its columns, bin by bin, and write the sum before each end of a window there.
+// Sum the beams of one segment cumulatively over its columns, by range bin, and write the sum at each end of a window.
 MULTIVERSION void sum_segment(const Job& job, std::size_t segment) {
     const CellWindows& windows = *job.windows;
     const std::size_t bins = windows.bins, stride = windows.stride;
     constexpr std::size_t SECTORS = SEGMENT_COLUMNS / SECTOR_COLUMNS;
     const std::size_t vectors = stride / VECTOR;
-    // The sums over the columns before (stride,), what the column at hand adds to them, and the same lane by lane.
+    // Cumulative sums (stride,) over the columns so far, the current column's part of them, and the same by lane.
     Buffer<Row> sums(stride), added(stride);
     Buffer<std::int32_t> counts(AIMED * stride);
     Buffer<float> aimed(stride);
@@ -319,7 +319,7 @@ MULTIVERSION void sum_segment(const Job& job, std::size_t segment) {
     std::memset(counts.data(), 0, counts.size() * sizeof(std::int32_t));
     for (std::size_t k = bins; k < stride; ++k) aimed[k] = 0.0f;
     std::size_t filled = 0;  // bins of `added` that are not 0
-    // The beams below each slope, in the sector before, the sector itself, and the one behind it.
+    // Cumulative slope histograms of the previous, the current and the next sector.
     std::uint32_t below[3][SLOPE_BINS + 1];
     float smooth[SLOPE_BINS + 1];
     const std::size_t first_sector = segment * SECTORS;
@@ -330,8 +330,8 @@ MULTIVERSION void sum_segment(const Job& job, std::size_t segment) {
         const std::size_t sector = first_sector + step;
         const float* const limits = job.limits + sector * LIMITS * stride;
         const float* const spans = job.spans + sector * 2 * vectors;
-        // Beams that aim at a target in each bin: those below its top, less those below its foot. A sector weighs 1/2 and
-        // its neighbors 1/4, since firings do not divide evenly among sectors; each of its columns has an equal share.
+        // Beams that aim at a target in each bin: those below its top minus those below its foot. The sector weighs 1/2
+        // and each neighbor 1/4, since firings do not divide evenly among sectors; columns share it equally.
         const std::uint32_t *before = below[step % 3], *own = below[(step + 1) % 3];
         std::uint32_t* const after = below[(step + 2) % 3];
         count_slopes(job, (sector + 1) % GROUND_SECTORS, after);
@@ -343,7 +343,7 @@ MULTIVERSION void sum_segment(const Job& job, std::size_t segment) {
 
         for (std::size_t c = 0; c < SECTOR_COLUMNS; ++c) {
             const std::size_t column = sector * SECTOR_COLUMNS + c;
-            // Count the column's beams, then put the lanes of a bin side by side.
+            // Count the column's beams, then interleave the lanes of each bin.
             std::int32_t *const lower = &counts[LOWER * stride], *const higher = &counts[HIGHER * stride];
             std::int32_t *const own = &counts[MEASURED * stride], *const lost = &counts[INFERRED * stride];
             std::size_t most, of_lost;
@@ -377,8 +377,8 @@ MULTIVERSION void sum_segment(const Job& job, std::size_t segment) {
             const Row aims = {0, 0, 0, 0, 0, 0, 1, 0};
             for (std::size_t k = most; k < filled; ++k) added[k] *= aims;
             filled = most;
-            // The sum before each window that begins or ends in this column: that behind the column, less the rest of it.
-            // Beams that aim are spread over the sector, and summed behind it.
+            // Interpolate the sum at each window edge in this column: the sum after the column minus the part of the
+            // column beyond the edge. AIMED counts are spread over the sector, and summed after it.
             const float share = 1.0f / SECTOR_COLUMNS;
             const Row scale = {1, 1, 1, 1, 1, 1, share, 0}, offset = {-1, -1, -1, -1, -1, -1, float(c) * share, 0};
             for (std::size_t e = windows.first_begin[column]; e < windows.first_begin[column + 1]; ++e) {
@@ -387,7 +387,7 @@ MULTIVERSION void sum_segment(const Job& job, std::size_t segment) {
             }
             for (std::size_t e = windows.first_end[column]; e < windows.first_end[column + 1]; ++e) {
                 const CellWindows::End& end = windows.ends[e];
-                // The end of a window that crosses stands apart, since another thread may write its begin.
+                // The end of a crossing window has its own row, since another thread may write its begin.
                 const Row before = end.row < windows.cells() ? job.rows[end.row] : Row{};
                 job.rows[end.row] = before + (sums[end.bin] + (scale * end.part + offset) * added[end.bin]);
             }
@@ -411,7 +411,7 @@ CellWindows::CellWindows(View2<const float> range, View2<const float> azimuth_, 
     require(double(farthest_m) / cell_m_ < MOST_RANGE_BINS, "cells must lie within a million sides of a cell");
     bins = std::size_t(std::ceil(double(farthest_m) / cell_m_)) + 1;
     stride = (bins + VECTOR - 1) / VECTOR * VECTOR;
-    // The middles of the range bins, and half of the target's width there, in columns.
+    // Centers of the range bins, and half of the target's width there in columns.
     std::vector<double> half(bins);
     for (std::size_t k = 0; k < stride; ++k) {
         const double middle_m = (double(k) + 0.5) * cell_m_;
@@ -419,7 +419,7 @@ CellWindows::CellWindows(View2<const float> range, View2<const float> azimuth_, 
         per_range.push_back(float(1.0 / middle_m));
         if (k < bins) half[k] = std::atan2(width_m / 2, middle_m) * PER_RAD;
     }
-    // Both ends of each window, in columns from the first turn on.
+    // Both ends of each window, in columns; segments are numbered on across turns.
     struct Placed {
         std::uint32_t cell, bin;
         std::uint32_t column[2];
@@ -449,7 +449,7 @@ CellWindows::CellWindows(View2<const float> range, View2<const float> azimuth_, 
         first_begin[c + 1] += first_begin[c];
         first_end[c + 1] += first_end[c];
     }
-    // By column; in a column by cell.
+    // Sort the ends by column, then by cell.
     begins.resize(cells());
     ends.resize(cells());
     std::vector<std::uint32_t> next_begin = first_begin, next_end = first_end;
@@ -479,7 +479,7 @@ void CellCounts::read(std::size_t first, std::size_t count, float (*lanes)[BLOCK
             std::memcpy(&lanes[lane][n], lane < FOUR ? &low[lane] : &high[lane - FOUR], sizeof(Four));
         }
     }
-    // Windows that cross from one segment to another: their ends, and the segments between.
+    // Add the ends of windows that cross segments, and the totals of the segments between.
     const auto by_cell = [](const CellWindows::Crossing& a, std::size_t cell) { return a.cell < cell; };
     auto at = std::lower_bound(windows->crossings.begin(), windows->crossings.end(), first, by_cell);
     for (; at != windows->crossings.end() && at->cell < first + count; ++at) {
@@ -507,7 +507,7 @@ CellCounts count_beams(const CellWindows& windows, const Beams& measured, const 
             highest[sector] = write_spans(of_sector, stride, span, span + vectors);
         }
     });
-    // 2. Beams by column. Those above every target aim at none: by a bin of slope, which is interpolated.
+    // 2. Beams by column. Beams above every target aim at none; the margin of one slope bin covers the interpolation.
     const float most = *std::max_element(highest.begin(), highest.end()) + 1.0f / PER_SLOPE;
     const SortedBeams<1> by_column(measured.azimuth, measured.slope, {measured.depth_m}, most, windows);
     const SortedBeams<DEPTHS> lost_by_column(lost.azimuth, lost.slope, lost.depth_m, most, windows);

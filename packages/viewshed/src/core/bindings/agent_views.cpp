@@ -9,7 +9,7 @@ namespace {
 
 constexpr std::size_t MOST_SIDE = 16384;
 
-// Cells of a square field of view at a corner.
+// Check and view the cells of a square field of view.
 template <typename T>
 ViewCells<T> cells_of(const In2<T>& values, double x_m, double y_m, double cell_m) {
     require(values.shape(0) == values.shape(1) && values.shape(0) >= 1 && values.shape(0) <= MOST_SIDE,
@@ -25,7 +25,7 @@ void require_map(std::size_t rows, std::size_t columns, double cell_m) {
     require(std::isfinite(cell_m) && cell_m > 0, "cell_m must be positive and finite");
 }
 
-// x, y, z and yaw of a pose.
+// Check and copy a pose (x, y, z, yaw).
 UprightPose pose_of(const In1<double>& numbers) {
     require(numbers.shape(0) == 4, "a pose must be x, y, z and yaw");
     UprightPose pose{read_once(view(numbers), 0), read_once(view(numbers), 1), read_once(view(numbers), 2),
@@ -49,7 +49,7 @@ void bind_agent_views(nb::module_& m) {
             return array(std::move(out));
         },
         "prob"_in, "x_m"_a, "y_m"_a, "cell_m"_a, "boxes"_in,
-        "Mean probability (K,) of the cells before boxes (K, 7), where lines of sight meet them.");
+        "Return the mean probability (K,) of the cells in front of boxes (K, 7), where lines of sight meet them.");
     m.def(
         "look_at_boxes",
         [](In2<std::uint8_t> states, double x_m, double y_m, double cell_m, In1<double> pose, In2<double> boxes,
@@ -65,7 +65,7 @@ void bind_agent_views(nb::module_& m) {
             return array(std::move(out), {boxes.shape(0), BOX_CELLS});
         },
         "states"_in, "x_m"_a, "y_m"_a, "cell_m"_a, "pose"_in, "boxes"_in, "place_x_m"_a, "place_y_m"_a, "along"_a, "across"_a,
-        "What the cells in and about boxes (K, 7) are, (K, 8).");
+        "Return measures (K, 8) of the cells in and around boxes (K, 7).");
     m.def(
         "surface_cells",
         [](In2<std::uint8_t> states, double x_m, double y_m, double cell_m, double nearest_m, double farthest_m) {
@@ -73,7 +73,7 @@ void bind_agent_views(nb::module_& m) {
             return array_of(centers, {centers.size() / 2, 2});
         },
         "states"_in, "x_m"_a, "y_m"_a, "cell_m"_a, "nearest_m"_a, "farthest_m"_a,
-        "Centers (S, 2) of the surface cells of a view between two ranges.");
+        "Return the centers (S, 2) of the surface cells of a view between two ranges.");
     m.def(
         "mark_surfaces",
         [](InOut2<std::uint32_t> seen_by, In2<double> surfaces, In1<double> pose, double cell_m, std::uint32_t bit, bool wide,
@@ -83,7 +83,7 @@ void bind_agent_views(nb::module_& m) {
             mark_surfaces(view(seen_by), view(surfaces), pose_of(pose), cell_m, bit, wide, erase);
         },
         "seen_by"_in, "surfaces"_in, "pose"_in, "cell_m"_a, "bit"_a, "wide"_a, "erase"_a,
-        "Note in a map of the world that an agent sees surfaces (S, 2), or take that back.");
+        "Set or erase an agent's bit in a world map for the surfaces (S, 2) that it sees.");
     m.def(
         "count_met",
         [](In2<double> surfaces, In1<double> headings, In1<double> x_m, In1<double> y_m, double cell_m,
@@ -100,7 +100,7 @@ void bind_agent_views(nb::module_& m) {
             return array(std::move(out), {turns, rows, columns});
         },
         "surfaces"_in, "headings"_in, "x_m"_in, "y_m"_in, "cell_m"_a, "seen_by"_in, "own_bit"_a,
-        "How many surfaces (S, 2) meet one of another agent at each heading and place, (T, X, Y).");
+        "Count the surfaces (S, 2) that coincide with one of another agent, for each heading and position (T, X, Y).");
     m.def(
         "compare_view",
         [](In2<std::uint8_t> states, double x_m, double y_m, double cell_m, In2<float> heights_m, float half_extent_m,
@@ -127,7 +127,8 @@ void bind_agent_views(nb::module_& m) {
         "states"_in, "x_m"_a, "y_m"_a, "cell_m"_a, "heights_m"_in, "half_extent_m"_a, "pose"_in, "places_m"_in, "ground_m"_in,
         "owner"_in, "is_free"_in, "own"_a, "agents"_a, "blockers"_in, "from_above"_a, "nearest_m"_a, "farthest_m"_a,
         "same_ground_m"_a,
-        "Counts (4, agents) of others' surfaces claimed and seen through, of others' free ground open and denied.");
+        "Return counts (4, agents) of others' surfaces: claimed, seen through; and of their free ground: open, "
+        "denied.");
     m.def(
         "compare_past",
         [](In2<std::uint8_t> states, double x_m, double y_m, double cell_m, In2<std::uint8_t> last_states, double last_x_m,
@@ -140,7 +141,8 @@ void bind_agent_views(nb::module_& m) {
         },
         "states"_in, "x_m"_a, "y_m"_a, "cell_m"_a, "last_states"_in, "last_x_m"_a, "last_y_m"_a, "last_cell_m"_a,
         "last_from_now"_in, "places"_in,
-        "Places visible now, then, either time, hidden now but visible then, visible now but hidden then.");
+        "Count places visible now, visible then, at either time, hidden now but visible then, visible now but hidden "
+        "then.");
 }
 
 }  // namespace viewshed

@@ -1,5 +1,4 @@
-// What the bindings share: numpy arrays as the stages see them, and buffers that become numpy arrays without a copy.
-// Arrays are checked in the bindings, whatever hands them in.
+// Helpers of the bindings, which check all arrays: numpy arrays as views, and buffers as numpy arrays without a copy.
 #pragma once
 
 #include <nanobind/nanobind.h>
@@ -19,10 +18,10 @@ namespace viewshed {
 namespace nb = nanobind;
 using namespace nb::literals;
 
-// An argument that is taken as it is: an array of another type is refused, not converted.
+// An argument without conversion: an array of another type is rejected.
 constexpr auto operator""_in(const char* name, std::size_t) { return nb::arg(name).noconvert(); }
 
-// What numpy hands in: contiguous, on the processor, of exactly this type (bindings name it by _in).
+// Input arrays: contiguous, on the CPU, of exactly this type (use with _in).
 template <typename T>
 using In1 = nb::ndarray<const T, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
 template <typename T>
@@ -31,12 +30,12 @@ template <typename T>
 using In3 = nb::ndarray<const T, nb::ndim<3>, nb::c_contig, nb::device::cpu>;
 // Points (N, 3) in meters.
 using Points = nb::ndarray<const float, nb::shape<-1, 3>, nb::c_contig, nb::device::cpu>;
-// Arrays that are written in place.
+// Arrays written in place.
 template <typename T>
 using InOut1 = nb::ndarray<T, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
 template <typename T>
 using InOut2 = nb::ndarray<T, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
-// What is handed back.
+// Returned arrays.
 template <typename T>
 using Out = nb::ndarray<T, nb::numpy, nb::c_contig>;
 
@@ -62,18 +61,18 @@ View2<T> view(const InOut2<T>& a) {
     return {a.data(), a.shape(0), a.shape(1)};
 }
 
-// Whether arrays have as many rows.
+// Check that arrays have the same number of rows.
 template <typename First, typename... Rest>
 bool are_as_long(const First& first, const Rest&... rest) {
     return ((rest.shape(0) == first.shape(0)) && ...);
 }
-// Whether arrays of two dimensions have one shape.
+// Check that two-dimensional arrays have the same shape.
 template <typename First, typename... Rest>
 bool have_one_shape(const First& first, const Rest&... rest) {
     return are_as_long(first, rest...) && ((rest.shape(1) == first.shape(1)) && ...);
 }
 
-// Give the memory of a buffer to a numpy array of a shape that holds at most as many values. Needs the interpreter's lock.
+// Move a buffer into a numpy array of a shape that holds at most as many values. Needs the GIL.
 template <typename T>
 Out<T> array(Buffer<T>&& buffer, std::initializer_list<std::size_t> shape) {
     T* data = std::move(buffer).release();
@@ -85,14 +84,14 @@ Out<T> array(Buffer<T>&& buffer) {
     const std::size_t size = buffer.size();
     return array(std::move(buffer), {size});
 }
-// What a stage returns that runs without the interpreter's lock.
+// Run a stage without the GIL, and return its result.
 template <typename Stage>
 auto without_lock(Stage&& stage) {
     nb::gil_scoped_release unlocked;
     return stage();
 }
 
-// Values of a vector, copied.
+// Copy a vector into an array.
 template <typename T>
 Out<T> array_of(const std::vector<T>& values) {
     return array(copy_of(View1<const T>{values.data(), values.size()}));
@@ -107,7 +106,7 @@ std::optional<Out<T>> array_or_none(std::optional<Buffer<T>>&& buffer) {
     return buffer ? std::optional(array(std::move(*buffer))) : std::nullopt;
 }
 
-// Several values at once. Their types go into the module's stub, which the build writes.
+// A tuple of several values. Its types go into the module's stub, which the build writes.
 template <typename... T>
 using Tuple = nb::typed<nb::tuple, T...>;
 template <typename... T>

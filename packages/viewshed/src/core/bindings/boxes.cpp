@@ -33,7 +33,7 @@ void bind_boxes(nb::module_& m) {
                 return array(std::move(returns));
             },
             "boxes"_in, "sensor_height_m"_a, "leave_out_own"_a,
-            "Beams (K,) int32 that would meet each box (K, 7): center, length, width, height, yaw in level.");
+            "Count the beams (K,) int32 that would meet each box (K, 7): center, length, width, height, yaw in level.");
 }
 
 }  // namespace viewshed

@@ -14,7 +14,7 @@ SquareGrid checked_grid(double x_m, double y_m, double cell_m, std::size_t cells
     return {x_m, y_m, cell_m, cells};
 }
 
-// Thin out checked returns, without the interpreter's lock.
+// Check and thin out returns, without the GIL.
 std::vector<PlanePoint> thin_checked(const Points& points, const In1<float>& range_m, const SquareGrid& grid) {
     require(points.shape(0) == range_m.shape(0), "points and range_m must be as long");
     nb::gil_scoped_release unlocked;
@@ -25,7 +25,6 @@ std::vector<PlanePoint> thin_checked(const Points& points, const In1<float>& ran
 
 }  // namespace
 
-// What Python calls: arrays are checked here, whatever hands them in.
 void bind_concave_hull(nb::module_& m) {
     m.def(
         "concave_hull",
@@ -48,7 +47,7 @@ void bind_concave_hull(nb::module_& m) {
             return array(std::move(visible), {cells, cells});
         },
         "points"_in, "range_m"_in, "concavity"_a, "length_m"_a, "x_m"_a, "y_m"_a, "cell_m"_a,
-        "cells"_a, "1 in cells (cells, cells) inside the concave hull of returns (M, 3), 0 elsewhere.");
+        "cells"_a, "Return 1 for cells (cells, cells) inside the concave hull of returns (M, 3), else 0.");
     m.def(
         "thin_returns",
         [](Points points, In1<float> range_m, double x_m, double y_m, double cell_m) {
@@ -62,7 +61,8 @@ void bind_concave_hull(nb::module_& m) {
             return tuple_of(array(std::move(xy), {thinned.size(), std::size_t{2}}), spans);
         },
         "points"_in, "range_m"_in, "x_m"_a, "y_m"_a, "cell_m"_a,
-        "Points (K, 2) in meters, the farthest of each cell; and whether they are three or more, not on one line.");
+        "Return points (K, 2) in meters, the farthest of each cell; and whether they are three or more, not on one "
+        "line.");
     m.def(
         "fill_rings",
         [](In2<double> edges, double x_m, double y_m, double cell_m, std::size_t cells) {
@@ -81,7 +81,7 @@ void bind_concave_hull(nb::module_& m) {
             return array(std::move(inside), {cells, cells});
         },
         "edges"_in, "x_m"_a, "y_m"_a, "cell_m"_a, "cells"_a,
-        "Cells (cells, cells) inside closed rings of edges (E, 4), by the even-odd rule.");
+        "Return a mask (cells, cells) of cells inside closed rings of edges (E, 4), by the even-odd rule.");
 }
 
 }  // namespace viewshed

@@ -14,7 +14,7 @@
 namespace viewshed {
 namespace {
 
-// Azimuth, slope and depth_m of beams; and of those without a return, with their likely, early and late depth.
+// Azimuth, slope and depth_m of measured beams; azimuth, slope, likely, early and late depth of beams without a return.
 using BeamArrays = std::tuple<In1<float>, In1<float>, In1<float>>;
 using LostArrays = std::tuple<In1<float>, In1<float>, In1<float>, In1<float>, In1<float>>;
 
@@ -46,7 +46,7 @@ TargetGround ground_of(const In2<float>& heights_m, const In2<float>& std_m, flo
     return {view(heights_m), view(std_m), half_extent_m, sensor_height_m};
 }
 
-// Evidence (cells, cells) of the cells of windows: measured, inferred, late, aimed, visible_prob.
+// Evidence (cells, cells): measured, inferred, late, aimed, visible_prob.
 using EvidenceArrays = std::tuple<In2<float>, In2<float>, In2<float>, In2<float>, In2<float>>;
 // Azimuth, range_m and height_m (M,) of the returns of a leveled sweep.
 using ReturnArrays = std::tuple<In1<float>, In1<float>, In1<float>>;
@@ -80,7 +80,7 @@ void bind_evidence(nb::module_& m) {
             require(min_returns >= 1 && min_returns <= 10000, "min_returns must lie in [1, 10000]");
             return array(poisson_table(min_returns));
         },
-        "min_returns"_a, "P(N >= min_returns), N Poisson, at means 0, 1/32, 2/32 and so on, until it is 1.");
+        "min_returns"_a, "Return P(N >= min_returns), N Poisson, at means 0, 1/32, 2/32 and so on, until it is 1.");
     m.def(
         "probability_of_visible",
         [](In1<float> counts, In1<float> table) {
@@ -88,7 +88,7 @@ void bind_evidence(nb::module_& m) {
             without_lock([&] { look_up(table_of(table), view(counts), prob); });
             return array(std::move(prob));
         },
-        "counts"_in, "table"_in, "Probability (N,) at mean counts (N,), from a poisson_table.");
+        "counts"_in, "table"_in, "Return the probability (N,) at mean counts (N,), from a poisson_table.");
     m.def(
         "expected_returns",
         [](const CellWindows& windows, const BeamArrays& beams_, In2<float> heights_m, float half_extent_m,
@@ -112,7 +112,8 @@ void bind_evidence(nb::module_& m) {
         },
         "windows"_a, "beams"_in, "heights_m"_in, "half_extent_m"_a, "sensor_height_m"_a,
         "target_height_m"_a,
-        "Expected returns (cells, cells) of a target in each cell, and the beams (cells, cells) that aim at it.");
+        "Return expected returns (cells, cells) of a target in each cell, and the number of beams (cells, cells) "
+        "that aim at it.");
     m.def(
         "beam_evidence",
         [](const CellWindows& windows, const BeamArrays& measured_beams, const LostArrays& lost_arrays, In2<float> heights_m,
@@ -136,8 +137,8 @@ void bind_evidence(nb::module_& m) {
         },
         "windows"_a, "measured"_in, "lost"_in, "heights_m"_in, "std_m"_in, nb::kw_only(), "half_extent_m"_a,
         "sensor_height_m"_a, "target_height_m"_a, "table"_in, "reach_m"_a,
-        "Measured, inferred, late, aimed, visible_prob, within_reach (cells, cells) of a target in each cell, from measured "
-        "beams (azimuth, slope, depth), and lost ones (azimuth, slope, likely, early and late depth).");
+        "Return measured, inferred, late, aimed, visible_prob, within_reach (cells, cells) of a target in each cell, "
+        "from measured beams (azimuth, slope, depth) and lost ones (azimuth, slope, likely, early and late depth).");
     m.def(
         "calibrated_prob",
         [](const CellWindows& windows, const EvidenceArrays& evidence, const ReturnArrays& returns, float low_m, float high_m,
@@ -149,9 +150,9 @@ void bind_evidence(nb::module_& m) {
             return array(std::move(prob), {windows.grid_rows, windows.grid_columns});
         },
         "windows"_a, "evidence"_in, "returns"_in, "low_m"_a, "high_m"_a, "heights_m"_in, nb::kw_only(), "table"_in,
-        "Calibrated probability (cells, cells) of visible, from evidence measured, inferred, late, aimed, visible_prob (cells, "
-        "cells), returns (azimuth, range_m, height_m), obstacles between low_m and high_m above local ground, and the ground's "
-        "heights on its lattice.");
+        "Return the calibrated probability (cells, cells) of visible, from evidence (measured, inferred, late, "
+        "aimed, visible_prob; cells, cells), returns (azimuth, range_m, height_m), height limits low_m and high_m of "
+        "obstacles above local ground, and ground heights on their lattice.");
     m.def(
         "cell_features",
         [](const CellWindows& windows, const EvidenceArrays& evidence, const ReturnArrays& returns, float low_m, float high_m,
@@ -166,7 +167,7 @@ void bind_evidence(nb::module_& m) {
             return array(std::move(feature), {SHOWN_FEATURES, windows.grid_rows, windows.grid_columns});
         },
         "windows"_a, "evidence"_in, "returns"_in, "low_m"_a, "high_m"_a, "heights_m"_in, nb::kw_only(), "table"_in,
-        "What the network of calibrated_prob is shown (features, cells, cells): of each cell, then of the sweep.");
+        "Return the features (features, cells, cells) of calibrated_prob's network: of each cell, then of the sweep.");
     m.def(
         "states",
         [](In2<float> measured, In2<float> late, In2<float> aimed, In2<float> visible_prob, In2<bool> within_reach,
@@ -184,7 +185,8 @@ void bind_evidence(nb::module_& m) {
         },
         "measured"_in, "late"_in, "aimed"_in, "visible_prob"_in, "within_reach"_in, "visible"_in, "denied"_in,
         "obstacle"_in, nb::kw_only(), "table"_in,
-        "States (cells, cells) uint8 of cells that an estimator calls visible, or not, and that hold an obstacle or not.");
+        "Return states (cells, cells) uint8, from masks of cells that an estimator calls visible or denied, and of "
+        "obstacles.");
     m.def(
         "claims",
         [](In2<std::uint8_t> state, In2<float> measured, In2<std::int32_t> node, In2<float> std_m, In1<float> table) {
@@ -200,8 +202,8 @@ void bind_evidence(nb::module_& m) {
         },
         "state"_in, "measured"_in, "node"_in, "std_m"_in, nb::kw_only(),
         "table"_in,
-        "How many cells (cells, cells) are free or surface; how many of these lie over ground, at a node of std_m, that is "
-        "unsure; and how many measured returns alone would not support.");
+        "Return how many cells (cells, cells) are free or surface, how many of these lie over unsure ground (by "
+        "std_m at their node), and how many are not supported by measured returns alone.");
 }
 
 }  // namespace viewshed

@@ -26,8 +26,8 @@ void bind_files(nb::module_& m) {
             return split_five(rows.data(), count, quarter_turn, points.data(), intensity.data(), ring.data());
         },
         "rows"_in, "points"_in, "intensity"_in, "ring"_in, "quarter_turn"_a,
-        "Split rows of x, y, z, intensity, ring; how many rings are no whole numbers. With quarter_turn points are "
-        "(y, -x, z).");
+        "Split rows of x, y, z, intensity, ring; return how many rings are not integers. With quarter_turn, points "
+        "are (y, -x, z).");
     m.def(
         "spread_of_rings",
         [](Points points, In1<std::int16_t> ring, float half_width) {
@@ -36,15 +36,15 @@ void bind_files(nb::module_& m) {
             return tuple_of(spread.count, spread.elevation_std, spread.beside, spread.any_two);
         },
         "points"_in, "ring"_in, "half_width"_a,
-        "Returns in four narrow sectors, their elevations' standard deviation, and the mean difference of the rings of "
-        "neighbors and of any two.");
+        "Return the number of returns in four narrow sectors, the standard deviation of their elevations, and the "
+        "mean ring difference of neighbors and of any two.");
     m.def(
         "all_finite",
         [](In2<float> values) {
             nb::gil_scoped_release unlocked;
             return are_finite(values.data(), values.size());
         },
-        "values"_in, "Whether all of the values (N, K) are finite.");
+        "values"_in, "Check that all values (N, K) are finite.");
     m.def(
         "plausible_rows",
         [](In1<float> rows, std::size_t columns) {
@@ -52,7 +52,8 @@ void bind_files(nb::module_& m) {
             return without_lock([&] { return is_plausible(rows.data(), rows.shape(0) / columns, columns); });
         },
         "rows"_in, "columns"_a,
-        "Whether rows (N · columns,) read as meters within 10 km, an intensity and, if five, a ring in 0…127.");
+        "Check if rows (N · columns,) are plausible as meters within 10 km, an intensity and, if five, a ring in "
+        "0…127.");
     m.def(
         "move_points",
         [](nb::ndarray<float, nb::shape<-1, 3>, nb::c_contig, nb::device::cpu> points, In2<double> rotation,
@@ -69,7 +70,7 @@ void bind_files(nb::module_& m) {
             return without_lock([&] { return unpack_lzf(view(packed), view(unpacked)); });
         },
         "packed"_in, "unpacked"_in,
-        "Decode an LZF stream; the bytes written, or -1 where it is damaged.");
+        "Decode an LZF stream; return the bytes written, or -1 if it is corrupt.");
 }
 
 }  // namespace viewshed

@@ -35,8 +35,8 @@ void bind_fov_code(nb::module_& m) {
             return nb::bytes(code.data(), code.size());
         },
         "state"_in, "level"_in, "deviation"_in, "row"_a, "column"_a,
-        "The code of a view: state 0…3, level of the probability 0…15 and, unless (0, 0), deviation 0…8 of each cell. "
-        "Empty where it would take too many decisions.");
+        "Encode a view: state 0…3, probability level 0…15 and, unless (0, 0), deviation level 0…8 of each cell. "
+        "Empty if it would take too many decisions.");
     m.def(
         "decode_view",
         [](In1<std::uint8_t> code, std::size_t cells, std::size_t row, std::size_t column, In1<float> prob,
@@ -60,7 +60,8 @@ void bind_fov_code(nb::module_& m) {
                             deviation);
         },
         "code"_in, "cells"_a, "row"_a, "column"_a, "prob"_in, "std"_in,
-        "State, probability and deviation (None without values for it) of each cell; None where the code is none.");
+        "Return state, probability and standard deviation (None without values for it) of each cell; None if the "
+        "code is invalid.");
 }
 
 }  // namespace viewshed

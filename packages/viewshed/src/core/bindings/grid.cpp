@@ -22,7 +22,8 @@ void bind_grid(nb::module_& m) {
         },
         "points"_in, "rotation"_in, "translation"_in, nb::kw_only(), "cells"_a, "cell_m"_a, "origin_x_m"_a, "origin_y_m"_a,
         "low_m"_a, "high_m"_a, "max_range_m"_a, "null_range_m"_a,
-        "Counts (cells, cells) int32 of points (N, 3) after a transform to level, by height there and by range.");
+        "Count points (N, 3) per cell (cells, cells) int32 after a transform to level, within limits of height there "
+        "and of range.");
     m.def(
         "polar_of_cells",
         [](std::size_t cells, double cell_m, double x0_m, double y0_m) {
@@ -32,7 +33,7 @@ void bind_grid(nb::module_& m) {
             return tuple_of(array(std::move(range_m), {cells, cells}), array(std::move(azimuth), {cells, cells}));
         },
         "cells"_a, "cell_m"_a, "x0_m"_a, "y0_m"_a,
-        "Range in meters and azimuth in [-pi, pi) (cells, cells) of the centers of cells.");
+        "Return range in meters and azimuth in [-pi, pi) (cells, cells) of cell centers.");
 }
 
 }  // namespace viewshed

@@ -14,7 +14,7 @@ namespace viewshed {
 
 namespace {
 
-// Heights, standard deviations, seen nodes, plane and support as numpy arrays; and the z of level ground, NaN where it is seen.
+// Convert to heights, standard deviations, seen nodes, plane, support, and the z of assumed level ground (NaN if seen).
 auto as_tuple(FoundGround& ground, std::size_t n) {
     const auto& [a, b, c] = ground.carrier.plane;
     return tuple_of(array(std::move(ground.heights_m), {n, n}), array(std::move(ground.std_m), {n, n}),
@@ -28,7 +28,7 @@ Plane plane_of(const In1<float>& plane) {
     return {plane.data()[0], plane.data()[1], plane.data()[2]};
 }
 
-// Low points (n, n, 3) of an array, and the rise of their nodes (n, n).
+// Copy and check low points (n, n, 3) and the rise of their nodes (n, n).
 Lows lows_of(const In3<float>& points, const In2<float>& rise_m, double half_m) {
     const std::size_t n = points.shape(0);
     require(points.shape(1) == n && points.shape(2) == 3, "lows_m must be (n, n, 3)");
@@ -36,7 +36,7 @@ Lows lows_of(const In3<float>& points, const In2<float>& rise_m, double half_m) 
     require_lattice(n, half_m);
     const Buffer<float> own = copy_of(View1<const float>{points.data(), points.size()});
     Lows lows(n);
-    const double reach_m = half_m * (1.0 + 0.5 / double(n));  // rounding may lead out of the outermost nodes
+    const double reach_m = half_m * (1.0 + 0.5 / double(n));  // rounding may move points out of the outermost nodes
     for (std::size_t at = 0; at < n * n; ++at) {
         const float x = own[3 * at], y = own[3 * at + 1], z = own[3 * at + 2];
         lows.z_m[at] = std::isfinite(z) ? z : std::numeric_limits<float>::infinity();
@@ -47,14 +47,13 @@ Lows lows_of(const In3<float>& points, const In2<float>& rise_m, double half_m) 
                 "lows_m must lie on the lattice");
         lows.x_m[at] = x;
         lows.y_m[at] = y;
-        lows.some.push_back(std::int32_t(at));
+        lows.occupied.push_back(std::int32_t(at));
     }
     return lows;
 }
 
 }  // namespace
 
-// What Python calls: arrays are checked here, whatever hands them in.
 void bind_ground(nb::module_& m) {
     m.def(
         "ground_of_lows",
@@ -64,8 +63,8 @@ void bind_ground(nb::module_& m) {
             return as_tuple(found, lows.nodes);
         },
         "lows_m"_in, "rise_m"_in, "half_m"_a, "height_m"_a,
-        "Heights, deviations, seen nodes (n, n), plane, support, and level (or NaN) of the ground, by low points (n, n, 3) "
-        "and the rise (n, n) from each to the highest return of its node.");
+        "Return heights, standard deviations, seen nodes (n, n), plane, support, and level (or NaN) of the ground, "
+        "from low points (n, n, 3) and the rise (n, n) to the highest return of each node.");
     m.def(
         "fill_ground",
         [](In2<float> walked_m, In2<bool> accepted, In1<float> plane, double half_m) {
@@ -84,7 +83,8 @@ void bind_ground(nb::module_& m) {
             return tuple_of(array(std::move(heights_m), {n, n}), array(std::move(std_m), {n, n}));
         },
         "walked_m"_in, "accepted"_in, "plane"_in, "half_m"_a,
-        "Heights and standard deviations (n, n) of the ground between and beyond the accepted nodes (n, n).");
+        "Return heights and standard deviations (n, n) of the ground, filled between and beyond the accepted nodes "
+        "(n, n).");
     m.def(
         "free_plane",
         [](Points points) {
@@ -94,7 +94,8 @@ void bind_ground(nb::module_& m) {
             return tuple_of(array(std::move(normal)), found.support);
         },
         "points"_in,
-        "Unit normal (3,) of the ground below a sensor tilted by up to 60°, and the share of area of points (n, 3) on it.");
+        "Return the unit normal (3,) of the ground below a sensor tilted by up to 60°, and the share of the area of "
+        "points (n, 3) on it.");
 }
 
 }  // namespace viewshed

@@ -29,7 +29,7 @@ void check_cells(const SentBeams& sent, const In2<std::int32_t>& margins, const 
 }  // namespace
 
 void bind_guarantees(nb::module_& m) {
-    nb::class_<TargetColumns>(m, "TargetColumns", "The columns of azimuth that fall on a target in each cell.")
+    nb::class_<TargetColumns>(m, "TargetColumns", "Azimuth columns that fall on a target in each cell.")
         .def(
             "__init__",
             [](TargetColumns* self, In2<float> range_m, In2<float> azimuth, std::size_t rings, std::size_t columns, double cell_m,
@@ -50,7 +50,7 @@ void bind_guarantees(nb::module_& m) {
                                          width_m, farthest_m);
             },
             "range_m"_in, "azimuth"_in, "rings"_a, "columns"_a, "cell_m"_a, "width_m"_a, "farthest_m"_a);
-    nb::class_<SentBeams>(m, "SentBeams", "The beams that are sent through a target in each cell.")
+    nb::class_<SentBeams>(m, "SentBeams", "Beams sent through a target in each cell.")
         .def(
             "__init__",
             [](SentBeams* self, std::shared_ptr<TargetColumns> columns, In2<float> low_m, In2<float> high_m, In2<float> slope,
@@ -81,7 +81,8 @@ void bind_guarantees(nb::module_& m) {
             return array(std::move(found), {rings, 2 * columns});
         },
         "points"_in, "ring"_in.none(), "rotation"_in, "tangent"_in, "origin_m"_in, "columns"_a, "near_m"_a, "far_m"_a,
-        "Horizontal range (rings, 2 * columns) of the nearest return of each beam, the circle twice; +inf for none.");
+        "Return the horizontal range (rings, 2 * columns) of the nearest return of each beam, columns repeated once; "
+        "+inf for none.");
     m.def(
         "envelope_margins",
         [](const SentBeams& sent, In2<float> nearest, std::int32_t least) {
@@ -91,8 +92,8 @@ void bind_guarantees(nb::module_& m) {
             return std::pair(of_cells(margin), of_cells(claim));
         },
         "sent"_a, "nearest"_in, "least"_a,
-        "Beams (cells, cells) that are sent through a target and not blocked before it, and where they are the least or more"
-        " with gaps closed.");
+        "Return the number of beams (cells, cells) sent through a target and not blocked before it, and a mask where "
+        "it is at least `least` with gaps closed.");
     m.def(
         "cells_of_beams",
         [](const SentBeams& sent, In2<float> nearest, In2<std::int32_t> margins, In2<bool> counts, std::int32_t least,
@@ -105,7 +106,7 @@ void bind_guarantees(nb::module_& m) {
             return array(std::move(found), {sent.of->rings, sent.of->columns});
         },
         "sent"_a, "nearest"_in, "margins"_in, "counts"_in, "least"_a, "most"_a, "opens"_a,
-        "For each beam (rings, columns), the sum of 1 / beams needed over the cells that it helps to change.");
+        "Return for each beam (rings, columns) the sum of 1 / beams needed over the cells that it helps to change.");
     m.def(
         "wedge_changes",
         [](const SentBeams& sent, In2<float> nearest, In2<std::int32_t> margins, In2<bool> counts, std::int32_t least,
@@ -115,7 +116,7 @@ void bind_guarantees(nb::module_& m) {
             require(wide >= 1 && wide <= sent.of->columns / 2, "wide must lie in [1, columns / 2]");
             Buffer<bool> changes(margins.size());
             const std::int64_t most = without_lock([&] {
-                // What may change while it is read must not bound a loop.
+                // Copy what bounds loops: another thread may write it meanwhile.
                 const Buffer<std::int32_t> margin = copy_of(view(margins).flat());
                 const Buffer<float> nearest_m = copy_of(ranges.flat());
                 return wedge_changes(sent, {nearest_m.data(), ranges.rows, ranges.columns}, margin, view(counts).flat(),
@@ -124,7 +125,8 @@ void bind_guarantees(nb::module_& m) {
             return std::pair(most, array(std::move(changes), {sent.of->rows, sent.of->grid_columns}));
         },
         "sent"_a, "nearest"_in, "margins"_in, "counts"_in, "least"_a, "wide"_a, "opens"_a,
-        "How many cells one wedge of columns changes at most, and which (cells, cells) any does.");
+        "Return the largest number of cells that one wedge of columns changes, and a mask (cells, cells) of those "
+        "that any changes.");
 }
 
 }  // namespace viewshed

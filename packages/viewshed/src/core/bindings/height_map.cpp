@@ -17,7 +17,7 @@ void bind_height_map(nb::module_& m) {
             return tuple_of(array(std::move(at.node)), array(std::move(at.down)), array(std::move(at.right)));
         },
         "xy"_in, "half_extent_m"_a, "nodes"_a,
-        "Node (N,) before each of N points, and how far beyond it in i and in j (N,), of a lattice.");
+        "Return the lattice node (N,) before each of N points, and its fractional offsets in i and j (N,).");
     m.def(
         "interpolate",
         [](In2<float> heights_m, In1<std::int32_t> node, In1<double> down, In1<double> right) {
@@ -32,7 +32,7 @@ void bind_height_map(nb::module_& m) {
             return array(std::move(out));
         },
         "heights_m"_in, "node"_in, "down"_in, "right"_in,
-        "Heights (N,) at positions of a lattice, bilinear.");
+        "Return heights (N,) at positions of a lattice, bilinear.");
 }
 
 }  // namespace viewshed

@@ -49,8 +49,8 @@ void bind_held_ground(nb::module_& m) {
         },
         "heights_m"_in, "std_m"_in, "seen"_in, "half_m"_a, "before_heights_m"_in, "before_std_m"_in, "before_seen"_in,
         "before_half_m"_a, "before_from_now"_in, "now_from_before"_in, "variance_m2"_a, "plane"_a, "height_m"_a,
-        "Heights, deviations and seen nodes (n, n) of the present ground with what only an earlier sweep saw; None where "
-        "nothing is taken.");
+        "Return heights, standard deviations and seen nodes (n, n) of the present ground, with nodes that only an "
+        "earlier sweep saw; None if nothing is carried over.");
 }
 
 }  // namespace viewshed

@@ -11,7 +11,7 @@
 namespace viewshed {
 namespace {
 
-// The returns of a sweep as Python hands them in: points, height_m, and the transform (3, 4) to the sensor now.
+// Returns of a sweep from Python: points, height_m, and the transform (3, 4) to the present sensor.
 using Cloud = std::tuple<Points, In1<float>, In2<float>>;
 
 }  // namespace
@@ -35,8 +35,8 @@ void bind_history(nb::module_& m) {
             return array(std::move(image), {SLOPE_ROWS, AZIMUTHS});
         },
         "clouds"_in, "least_m"_a, "sensor_height_m"_a,
-        "Range (rows, columns) of the nearest obstacle by slope and azimuth; +inf for none. Of sweeps (points, height_m, "
-        "transform), each with returns higher than least_m.");
+        "Return the range (rows, columns) of the nearest obstacle by slope and azimuth, +inf for none, from sweeps "
+        "(points, height_m, transform) with their returns higher than least_m.");
     m.def(
         "end_at_obstacles",
         [](In2<float> image, In1<float> azimuth, In1<float> slope, In1<float> depth_m) {
@@ -48,7 +48,7 @@ void bind_history(nb::module_& m) {
             return array(std::move(out));
         },
         "image"_in, "azimuth"_in, "slope"_in, "depth_m"_in,
-        "Depth (B,) of beams, none deeper than the obstacle of an image in its direction.");
+        "Return the depth (B,) of beams, limited by the obstacle of an image in their direction.");
     m.def(
         "sight_lines",
         []() {
@@ -56,7 +56,7 @@ void bind_history(nb::module_& m) {
             sight_lines(azimuth, slope);
             return tuple_of(array(std::move(azimuth)), array(std::move(slope)));
         },
-        "Azimuth and slope (L,) of lines of sight in every fourth row and column of the image of obstacles.");
+        "Return azimuth and slope (L,) of lines of sight in every fourth row and column of the obstacle image.");
     m.def(
         "confirmed_cells",
         [](In2<bool> seen, In2<float> earlier_from_now, double origin_x_m, double origin_y_m, double cell_m,
@@ -75,7 +75,8 @@ void bind_history(nb::module_& m) {
             return array(std::move(confirmed), {cells, cells});
         },
         "seen"_in, "earlier_from_now"_in, "origin_x_m"_a, "origin_y_m"_a, "cell_m"_a, "in_view"_in, "whole"_in,
-        "Cells (cells, cells) that an earlier sweep saw, and to which enough of the whole view is open.");
+        "Return a mask (cells, cells) of cells that an earlier sweep saw and to which enough of the whole view is "
+        "open.");
 }
 
 }  // namespace viewshed

@@ -27,7 +27,7 @@ void bind_level_sweep(nb::module_& m) {
             return array_or_none(without_lock([&] { return farthest_returns(view(points), rings); }));
         },
         "points"_in, "ring"_in.none(),
-        "Rows of the farthest return of each beam of points (N, 3); None where each beam has one.");
+        "Return the rows of the farthest return of each beam of points (N, 3); None if each beam has one return.");
     using RotationArray = nb::ndarray<const double, nb::shape<3, 3>, nb::c_contig, nb::device::cpu>;
     m.def(
         "level_sweep",
@@ -53,7 +53,7 @@ void bind_level_sweep(nb::module_& m) {
                 require(std::all_of(sweep.attitude->begin(), sweep.attitude->end(), is_bounded), "attitude must be finite");
             }
             auto made = without_lock([&] { return level_sweep(sweep); });
-            // The range image, the rotation, the height, the ground, and the level points.
+            // Range image, rotation, height, ground, and level points.
             std::optional<RangeImageArrays> image;
             if (made.image) image = range_image_arrays(std::move(*made.image));
             Buffer<double> rotation(9);
@@ -70,8 +70,9 @@ void bind_level_sweep(nb::module_& m) {
         },
         "points"_in, "ring"_in.none(), "rings"_a, "columns"_a, "near_m"_a, "far_m"_a, "attitude"_in.none(),
         "height_m"_a.none(), "yaw"_a.none(), "half_extent_m"_a,
-        "Range image (as range_image gives it, or None), rotation (3, 3) to level, height of the sensor, ground (heights, "
-        "deviations, seen nodes, plane, support), and level points (as level_points gives them) of points (N, 3).");
+        "Return the range image (as range_image does, or None), rotation (3, 3) to level, sensor height, ground "
+        "(heights, standard deviations, seen nodes, plane, support), and level points (as level_points does) of "
+        "points (N, 3).");
 }
 
 }  // namespace viewshed

@@ -29,7 +29,8 @@ void bind_leveling(nb::module_& m) {
             return vehicle_heading(view(points), {rotation.data(), 3, 3});
         },
         "points"_in, "rotation"_in,
-        "Heading of the own vehicle in radians, of points (N, 3) and the rotation (3, 3) to a level frame.");
+        "Return the heading of the own vehicle in radians, from points (N, 3) and the rotation (3, 3) to a level "
+        "frame.");
     m.def(
         "level_points",
         [](Points points, std::optional<In1<bool>> clutter, Transform level_from_sensor, float near_m, float far_m,
@@ -49,7 +50,8 @@ void bind_leveling(nb::module_& m) {
         },
         "points"_in, "clutter"_in.none(), "level_from_sensor"_in, "near_m"_a, "far_m"_a, "heading"_a, "ground_m"_in,
         "half_extent_m"_a,
-        "Level points (M, 3), range, azimuth, height above the ground and row (M,) of the points (N, 3) that count.");
+        "Return level points (M, 3), range, azimuth, height above the ground and row (M,) of the kept points of (N, "
+        "3).");
     m.def(
         "beam_slopes",
         [](Points points, In1<float> range_m, float sensor_height_m, std::optional<In1<bool>> left_out,
@@ -57,7 +59,7 @@ void bind_leveling(nb::module_& m) {
             const std::size_t count = points.shape(0);
             require(are_as_long(points, range_m, rows), "points, range_m and rows must be as long");
             View1<const bool> mask{nullptr, 0};
-            Buffer<std::int32_t> of_point(count);  // not looked at without a mask
+            Buffer<std::int32_t> of_point(count);  // unused without a mask
             if (left_out) {
                 mask = view(*left_out);
                 require(count == 0 || mask.size > 0, "left_out must have an element for each row");
@@ -68,7 +70,7 @@ void bind_leveling(nb::module_& m) {
             return array(std::move(slope));
         },
         "points"_in, "range_m"_in, "sensor_height_m"_a, "left_out"_in.none(),
-        "rows"_in, "Rise over range (M,) of level points (M, 3); +inf for rows that are left out.");
+        "rows"_in, "Return the slope (M,) of level points (M, 3); +inf for left-out rows.");
     m.def(
         "obstacle_cells",
         [](Points points, In1<float> height_m, float x0_m, float y0_m, float cells_per_m, float low_m, float high_m,
@@ -83,7 +85,7 @@ void bind_leveling(nb::module_& m) {
             return array(std::move(mask), {std::size_t(cells), std::size_t(cells)});
         },
         "points"_in, "height_m"_in, "x0_m"_a, "y0_m"_a, "cells_per_m"_a, "low_m"_a, "high_m"_a, "cells"_a,
-        "Mask (cells, cells) of cells that hold a point (N, 3) between two heights above the ground.");
+        "Return a mask (cells, cells) of cells that hold a point (N, 3) between two heights above the ground.");
 }
 
 }  // namespace viewshed

@@ -46,7 +46,7 @@ Ground ground_of(const In2<float>& heights_m, float half_extent_m) {
     return {view(heights_m), half_extent_m};
 }
 
-// The arrays of a sweep as Python hands them in.
+// Arrays of a sweep from Python.
 struct SweepArrays {
     Pixels pixels;
     RingAims aims;
@@ -83,7 +83,7 @@ void bind_no_return(nb::module_& m) {
             Buffer<float> slope(rows.shape(0));
             std::optional<NoReturnBeams> beams;
             without_lock([&] {
-                const DepthImages images = sweep.images();  // checks the rows, which beam_slopes trusts
+                const DepthImages images = sweep.images();  // checks the rows, which beam_slopes relies on
                 beam_slopes(view(points), view(range_m), sweep.sensor_height_m, view(isolated), sweep.rows, slope);
                 beams = guess_no_return_beams(images, sweep.aims, sweep.ground, sweep.sensor_height_m, top_m,
                                               sweep.steep_m());
@@ -95,7 +95,8 @@ void bind_no_return(nb::module_& m) {
         "ring"_in, "column"_in, "counts"_in, "isolated"_in, "clutter"_in.none(), "phase"_in, "elevation"_in,
         "origin_m"_in, "rotation"_in, "points"_in, "range_m"_in, "height_m"_in, "rows"_in, "sensor_height_m"_a,
         "ground_m"_in, "half_extent_m"_a, "top_m"_a, "obstacle_m"_a,
-        "Slope (M,) of measured beams; azimuth, slope, early, likely and late depth (B,) of beams without a return.");
+        "Return slope (M,) of measured beams; azimuth, slope, early, likely and late depth (B,) of beams without a "
+        "return.");
     m.def(
         "no_return_groups",
         [](In1<std::int16_t> ring, In1<std::int32_t> column, In2<std::uint8_t> counts, In1<bool> isolated,
@@ -119,8 +120,8 @@ void bind_no_return(nb::module_& m) {
         "ring"_in, "column"_in, "counts"_in, "isolated"_in, "clutter"_in.none(), "phase"_in, "elevation"_in,
         "origin_m"_in, "rotation"_in, "range_m"_in, "height_m"_in, "rows"_in, "sensor_height_m"_a, "ground_m"_in,
         "half_extent_m"_a, "top_m"_a, "obstacle_m"_a,
-        "Azimuth, slope, beams that may meet a target (G,), features (G, F) and logarithms of the ranges of stops (G, S) of "
-        "groups of beams without a return.");
+        "Return azimuth, slope, number of beams that may meet a target (G,), features (G, F) and log2 ranges of "
+        "stops (G, S) of groups of beams without a return.");
     m.def(
         "no_return_beams",
         [](In1<std::int16_t> ring, In1<std::int32_t> column, In2<std::uint8_t> counts, std::optional<In1<bool>> clutter,
@@ -130,7 +131,7 @@ void bind_no_return(nb::module_& m) {
             const RingAims aims{view(phase), view(elevation), view(origin_m), rotation.data()};
             require_aims(aims, counts.shape(0));
             require(are_as_long(range_m, height_m, rows), "range_m, height_m and rows must be as long");
-            // Neither obstacles nor shares of ground are needed.
+            // Infinite limits: neither obstacles nor ground shares are needed.
             const Returns returns{view(range_m), view(height_m), view(rows)};
             BeamColumns beams = without_lock(
                 [&] { return no_return_beams(depth_images(pixels, returns, INFINITY, INFINITY), aims, fill); });
@@ -139,7 +140,7 @@ void bind_no_return(nb::module_& m) {
         },
         "ring"_in, "column"_in, "counts"_in, "clutter"_in.none(), "phase"_in, "elevation"_in, "origin_m"_in,
         "rotation"_in, "range_m"_in, "height_m"_in, "rows"_in, "fill"_a,
-        "Azimuth, slope and depth of the beams without a return.");
+        "Return azimuth, slope and depth of the beams without a return.");
 }
 
 }  // namespace viewshed

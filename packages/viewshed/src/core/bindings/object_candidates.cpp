@@ -27,7 +27,7 @@ void bind_object_candidates(nb::module_& m) {
                             array(std::move(sides), {count, 6}), array(std::move(shapes), {count, SHAPES}));
         },
         "points"_in, "height_m"_in, "range_m"_in, "sensor_height_m"_a,
-        "Candidates for objects: rows (P,) by candidate, first, last, parent (C,), sides (C, 6) and shapes (C, 32).");
+        "Return object candidates: rows (P,) by candidate, first, last, parent (C,), sides (C, 6) and shapes (C, 32).");
 }
 
 }  // namespace viewshed

@@ -1,4 +1,4 @@
-// Polygons of cells: what Python calls. Arrays are checked here, whatever hands them in.
+// Bindings of cell polygons. Arrays are checked here.
 #include <algorithm>
 #include <cmath>
 #include <limits>
@@ -20,7 +20,7 @@ void require_square(std::size_t rows, std::size_t columns) {
     require(rows == columns && rows >= 1 && rows <= MOST_CELLS, "a mask must be square, of 1 to 4096 cells a side");
 }
 
-// Where closed rings of points (V, 2) begin (R + 1,).
+// Check and copy the starts (R + 1,) of closed rings of points (V, 2).
 Buffer<std::int64_t> checked_begin(const In2<double>& points, const In1<std::int64_t>& begin) {
     Buffer<std::int64_t> from = copy_of(view(begin));
     require(points.shape(1) == 2, "points must be (V, 2)");
@@ -30,7 +30,7 @@ Buffer<std::int64_t> checked_begin(const In2<double>& points, const In1<std::int
     return from;
 }
 
-// Cells that a function of closed rings marks.
+// Return the cells that a function of closed rings marks.
 template <typename Mark>
 Out<bool> cells_of(const In2<double>& points, const In1<std::int64_t>& begin, std::size_t cells, Mark mark) {
     require(cells >= 1 && cells <= MOST_CELLS, "cells must lie in [1, 4096]");
@@ -40,7 +40,7 @@ Out<bool> cells_of(const In2<double>& points, const In1<std::int64_t>& begin, st
     return array(std::move(marked), {cells, cells});
 }
 
-// Finite ranges of a number of wedges, none negative.
+// Check and copy ranges of wedges.
 Buffer<double> checked_ranges(const In1<double>& ranges) {
     Buffer<double> values = copy_of(view(ranges));
     require(values.size() >= 3 && values.size() <= MOST_BINS, "there must be 3 to 7200 ranges");
@@ -59,7 +59,7 @@ void bind_polygons(nb::module_& m) {
             without_lock([&] { label_regions(view(mask), diagonal, labels.view(rows, columns)); });
             return array(std::move(labels), {rows, columns});
         },
-        "mask"_in, "diagonal"_a, "Number (rows, columns) of each cell's connected region, 0 for none.");
+        "mask"_in, "diagonal"_a, "Return the number (rows, columns) of each cell's connected region, 0 for none.");
     m.def(
         "squared_depth",
         [](In2<bool> mask) {
@@ -68,7 +68,7 @@ void bind_polygons(nb::module_& m) {
             without_lock([&] { find_squared_depth(view(mask), depth.view(rows, columns)); });
             return array(std::move(depth), {rows, columns});
         },
-        "mask"_in, "Squared distance (rows, columns) to the nearest false cell, in cells.");
+        "mask"_in, "Return the squared distance (rows, columns) to the nearest false cell, in cells.");
     m.def(
         "rings_of_mask",
         [](In2<bool> mask, In2<std::int32_t> regions) {
@@ -84,22 +84,23 @@ void bind_polygons(nb::module_& m) {
             return tuple_of(array_of(rings.corners, {corners, 2}), array_of(rings.begin), array_of(rings.region));
         },
         "mask"_in, "regions"_in,
-        "Corners (V, 2) of the rings around a mask's true cells, where rings begin (R + 1,), and the region of each "
-        "(R,), negative where it is a hole.");
+        "Return corners (V, 2) of the rings around a mask's true cells, starts of rings (R + 1,), and region of each "
+        "(R,), negative for a hole.");
     m.def(
         "cells_inside",
         [](In2<double> points, In1<std::int64_t> begin, std::size_t cells) {
             return cells_of(points, begin, cells, fill_closed_rings);
         },
         "points"_in, "begin"_in, "cells"_a,
-        "Cells (cells, cells) whose center lies inside closed rings of points (V, 2), by the even-odd rule.");
+        "Return a mask (cells, cells) of cells whose center lies inside closed rings of points (V, 2), by the "
+        "even-odd rule.");
     m.def(
         "cells_met",
         [](In2<double> points, In1<std::int64_t> begin, std::size_t cells) {
             return cells_of(points, begin, cells, find_cells_met);
         },
         "points"_in, "begin"_in, "cells"_a,
-        "Cells (cells, cells) that an edge of closed rings of points (V, 2) passes through, or merely meets.");
+        "Return a mask (cells, cells) of cells that an edge of closed rings of points (V, 2) crosses or touches.");
     m.def(
         "best_sectors",
         [](In1<double> ranges, std::size_t sectors, double inner) {
@@ -110,7 +111,7 @@ void bind_polygons(nb::module_& m) {
             return tuple_of(array_of(found.first), array_of(found.end), array_of(found.range));
         },
         "ranges"_in, "sectors"_a, "inner"_a,
-        "First bin, end bin and range of the sectors below ranges (bins,) whose union is the largest.");
+        "Return first bin, end bin and range of the sectors below ranges (bins,) with the largest union.");
     m.def(
         "free_ranges",
         [](In2<bool> mask, double x_m, double y_m, double cell_m, double apex_x_m, double apex_y_m, double half_m,
@@ -129,7 +130,8 @@ void bind_polygons(nb::module_& m) {
             return array(std::move(ranges));
         },
         "mask"_in, "x_m"_a, "y_m"_a, "cell_m"_a, "apex_x_m"_a, "apex_y_m"_a, "half_m"_a, "bins"_a,
-        "is_solid"_a, "How far (bins,) each wedge reaches from an apex before boxes about the false cells of a mask.");
+        "is_solid"_a,
+        "Return the free range (bins,) of each wedge from an apex to boxes around the false cells of a mask.");
     m.def(
         "star_vertices",
         [](In1<double> ranges, double price_m2) {
@@ -144,7 +146,8 @@ void bind_polygons(nb::module_& m) {
             return array(std::move(vertices), {found.size(), std::size_t{2}});
         },
         "ranges"_in, "price_m2"_a,
-        "Angle and range (V, 2) of the star polygon below ranges (bins,) with the most area less a price a vertex.");
+        "Return angle and range (V, 2) of the star polygon below ranges (bins,) with the most area less a price per "
+        "vertex.");
 }
 
 }  // namespace viewshed

@@ -4,7 +4,7 @@
 
 namespace viewshed {
 
-// A range image as a tuple of arrays.
+// Convert a range image to a tuple of arrays.
 RangeImageArrays range_image_arrays(RangeImage&& image) {
     const std::size_t rings = image.rings, columns = image.columns;
     return tuple_of(array(std::move(image.column)), array(std::move(image.counts), {rings, columns}),
@@ -24,12 +24,12 @@ void bind_range_image(nb::module_& m) {
             return range_image_arrays(std::move(made));
         },
         "points"_in, "ring"_in, "columns"_a, "rings"_a, "near_m"_a, "far_m"_a,
-        "Column, counts, nearest_m2, phase, isolated, behind, clutter (or None) of points (N, 3) by ring (N,); and "
-        "whether rings are as full as columns are many.");
+        "Return column, counts, nearest_m2, phase, isolated, behind, clutter (or None) of points (N, 3) with ring "
+        "(N,); and whether full rings hold about one return per column.");
     m.def(
         "silent_columns",
         [](In2<std::uint8_t> counts) { return array(without_lock([&] { return silent_columns(view(counts)); })); },
-        "counts"_in, "Columns (columns,) of counts (rings, columns) that hardly fired.");
+        "counts"_in, "Return a mask (columns,) of silent columns, from counts (rings, columns).");
     m.def(
         "pixels_without",
         [](In1<std::int16_t> ring, In1<bool> left_out, In1<std::int32_t> column, In2<std::uint8_t> counts) {
@@ -43,7 +43,7 @@ void bind_range_image(nb::module_& m) {
             return tuple_of(array(std::move(kept)), array(std::move(fewer), {rings, columns}));
         },
         "ring"_in, "left_out"_in, "column"_in, "counts"_in,
-        "Column (N,) and counts (rings, columns) without the returns left_out (N,).");
+        "Return column (N,) and counts (rings, columns) without the returns left_out (N,).");
 }
 
 }  // namespace viewshed

@@ -22,7 +22,6 @@ void require_bins(std::size_t bins) { require(bins >= 1 && bins <= MOST_BINS, "b
 
 }  // namespace
 
-// What Python calls: arrays are checked here, whatever hands them in.
 void bind_ray_trace(nb::module_& m) {
     m.def(
         "azimuth_bins_filled",
@@ -30,7 +29,7 @@ void bind_ray_trace(nb::module_& m) {
             nb::gil_scoped_release unlocked;
             return bins_filled_by(view(azimuth));
         },
-        "azimuth"_in, "How many azimuth bins returns (M,) fill without gaps.");
+        "azimuth"_in, "Return how many azimuth bins returns (M,) fill without gaps.");
     m.def(
         "farthest_in_bins",
         [](In1<float> azimuth, In1<float> range_m, std::optional<std::size_t> bins, std::size_t drop) {
@@ -51,7 +50,8 @@ void bind_ray_trace(nb::module_& m) {
             return array(std::move(*limit_m));
         },
         "azimuth"_in, "range_m"_in, "bins"_a.none(), "drop"_a,
-        "Range (bins,) of the farthest return but `drop` of each azimuth bin; -1 where there are no more.");
+        "Return the range (bins,) of the farthest return of each azimuth bin after dropping `drop`; -1 if there are "
+        "no more.");
     m.def(
         "first_blocker",
         [](In1<float> azimuth, In1<float> range_m, In1<float> height_m, float low_m, float high_m,
@@ -67,7 +67,7 @@ void bind_ray_trace(nb::module_& m) {
         },
         "azimuth"_in, "range_m"_in, "height_m"_in, "low_m"_a, "high_m"_a, "bins"_a.none(), "rank"_a, "median_bins"_a,
         "reach_m"_a.none(), "margin_m"_a,
-        "Range (bins,) up to which each azimuth is visible before its blocker; -1 without a return.");
+        "Return the range (bins,) up to which each azimuth is visible before its blocker; -1 without a return.");
     m.def(
         "cells_within",
         [](In1<float> limit_m, In2<float> cell_range_m, In2<std::int16_t> cell_bin) {
@@ -80,7 +80,7 @@ void bind_ray_trace(nb::module_& m) {
             return array(std::move(visible), {rows, columns});
         },
         "limit_m"_in, "cell_range_m"_in, "cell_bin"_in,
-        "1 in cells (rows, columns) no farther than the limit (bins,) of their azimuth bin, 0 elsewhere.");
+        "Return 1 for cells (rows, columns) within the limit (bins,) of their azimuth bin, else 0.");
     m.def(
         "trace_windows",
         [](In1<float> azimuth, In1<float> range_m, std::size_t slices, double window, double margin_m,
@@ -102,7 +102,7 @@ void bind_ray_trace(nb::module_& m) {
         },
         "azimuth"_in, "range_m"_in, "slices"_a, "window"_a, "margin_m"_a, "cell_range_m"_in, "cell_azimuth"_in,
         "cell_slice"_in,
-        "1 in cells (rows, columns) that a return within a window of their azimuth reaches, 0 elsewhere.");
+        "Return 1 for cells (rows, columns) that a return within a window of their azimuth reaches, else 0.");
     m.def(
         "any_return_on",
         [](Points points, In1<float> range_m, float far_m, float low_m, float high_m, float sensor_m, double x0_m,
@@ -120,7 +120,7 @@ void bind_ray_trace(nb::module_& m) {
         },
         "points"_in, "range_m"_in, "far_m"_a, "low_m"_a, "high_m"_a, "sensor_m"_a, "x0_m"_a, "y0_m"_a, "cells_per_m"_a,
         "cells"_a,
-        "Whether a return within limits of range, and of height from the sensor, lies on a grid of cells².");
+        "Check if a return within limits of range, and of height relative to the sensor, lies on a grid of cells².");
 }
 
 }  // namespace viewshed

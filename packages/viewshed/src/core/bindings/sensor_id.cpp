@@ -12,20 +12,19 @@ namespace {
 
 using RingColumn = In1<std::int16_t>;
 
-// Bounds of what is asked: beams of a table, columns of a revolution, and elevations in radians.
+// Limits of arguments: beams of a table, columns of a revolution, and elevations in radians.
 constexpr std::size_t MOST_RINGS = 4096;
 constexpr std::int64_t MOST_COLUMNS = 65'536;
 constexpr double HIGHEST = std::numbers::pi / 2;
 
-// A ring column as the stage sees it: checked, or none.
+// Check and copy a ring column, if given.
 std::optional<Buffer<std::int16_t>> checked_rings(const std::optional<RingColumn>& ring, std::size_t count) {
     if (!ring) return std::nullopt;
     require(ring->shape(0) == count, "ring must have one row for each point");
     return indices_of<std::int16_t>(view(*ring), -1, MOST_RINGS - 1, "ring");
 }
 
-// A copy of points, so that all of a stage reads the same ones whoever writes the caller's meanwhile: a sort by values that
-// change leaves its range.
+// A copy of points: another thread may write the caller's array, and a sort of changing values runs out of bounds.
 class OwnPoints {
 public:
     explicit OwnPoints(const Points& points) : values_(3 * points.shape(0)) {
@@ -42,7 +41,7 @@ std::size_t checked_count(const Points& points) {
     return points.shape(0);
 }
 
-// Azimuth, slope and range columns as the stage keeps them.
+// Copy azimuth, slope and range columns.
 Directions directions_from(const In1<float>& azimuth, const In1<float>& slope, const In1<float>& range_m) {
     require(are_as_long(azimuth, slope, range_m), "azimuth, slope and range_m must be as long");
     Directions seen(slope.shape(0));
@@ -52,7 +51,7 @@ Directions directions_from(const In1<float>& azimuth, const In1<float>& slope, c
     return seen;
 }
 
-// The beams of a sensor, checked.
+// Check and copy the beams of a sensor.
 BeamTable checked_table(View1<const double> given_elevation, View1<const double> given_origin_m, std::int64_t columns) {
     require(given_elevation.size >= 1 && given_elevation.size <= MOST_RINGS, "a table must have 1 to 4096 beams");
     require(given_origin_m.size == given_elevation.size, "origin_m must have one value for each beam");
@@ -71,7 +70,6 @@ BeamTable checked_table(View1<const double> given_elevation, View1<const double>
 
 }  // namespace
 
-// What Python calls: arrays are checked here, whatever hands them in.
 void bind_sensor_id(nb::module_& m) {
     m.attr("OTHER_BEAMS") = OTHER_BEAMS;
     m.attr("USUAL_REACH_M") = USUAL_REACH_M;
@@ -97,10 +95,10 @@ void bind_sensor_id(nb::module_& m) {
         },
         "points"_in, "ring"_in.none(), "elevation"_in, "origin_m"_in, "is_inferred"_a, "expected"_a, "held_elevation"_in,
         "held_origin_m"_in,
-        "The ring of each point (N, 3), or None where they are its own or nothing shows them, and the number of the sensor that "
-        "is inferred, -1 for none, OTHER_BEAMS where the rings are no beams of the table; of rings that no table explains the "
-        "layout that counts them, elevation and origin_m (rings,), or None, how many the points show, and whether the held one "
-        "counts them. A table, or a held layout, of no beams is none.");
+        "Identify the rings and the sensor of points (N, 3). Return rings (N,), or None if unchanged or unknown; the "
+        "number of the inferred sensor, -1 for none, OTHER_BEAMS if the rings are no beams of the table; the layout "
+        "of rings without a matching table, elevation and origin_m (rings,), or None; the number of rings that the "
+        "points show; and whether the held layout was used. An empty table, or held layout, is none.");
     m.def(
         "infer_sensor",
         [](Points points, std::optional<RingColumn> ring) {
@@ -108,7 +106,8 @@ void bind_sensor_id(nb::module_& m) {
             const auto found = without_lock([&] { return infer_sensor(OwnPoints(points), known); });
             return tuple_of(found.first, found.second);
         },
-        "points"_in, "ring"_in.none(), "The number of the sensor that explains points (N, 3) best, -1 for none, and its score.");
+        "points"_in, "ring"_in.none(),
+        "Return the number of the sensor that matches points (N, 3) best, -1 for none, and its score.");
     m.def(
         "recover_rings",
         [](Points points, std::optional<RingColumn> ring, In1<double> elevation, In1<double> origin_m,
@@ -121,8 +120,8 @@ void bind_sensor_id(nb::module_& m) {
                             array(std::move(made.elevation)), made.placed, made.alone, int(made.source));
         },
         "points"_in, "ring"_in.none(), "elevation"_in, "origin_m"_in, "columns"_a,
-        "Ring (N,), column (N,), columns, elevation (rings,), returns with a ring, those alone in their pixel, source. "
-        "A table of no beams is none.");
+        "Return ring (N,), column (N,), number of columns, elevation (rings,), number of returns with a ring, number "
+        "of those alone in their pixel, source. An empty table is none.");
     m.def(
         "polar",
         [](Points points) {
@@ -130,7 +129,7 @@ void bind_sensor_id(nb::module_& m) {
             return tuple_of(array(std::move(seen.azimuth)), array(std::move(seen.slope)),
                             array(std::move(seen.range_m)));
         },
-        "points"_in, "Azimuth, slope and horizontal range (N,) of points (N, 3).");
+        "points"_in, "Return azimuth, slope and horizontal range (N,) of points (N, 3).");
     m.def(
         "match_beams",
         [](In1<float> slope, In1<float> range_m, In1<double> elevation, In1<double> origin_m) {
@@ -140,7 +139,8 @@ void bind_sensor_id(nb::module_& m) {
             return tuple_of(array(std::move(match.ring)), array_of(match.hits), match.excess);
         },
         "slope"_in, "range_m"_in, "elevation"_in, "origin_m"_in,
-        "The nearest beam of each return (N,), the returns close to each beam, and their share less chance.");
+        "Return the nearest beam of each return (N,), the number of close returns of each beam, and their share in "
+        "excess of chance.");
     m.def(
         "find_clusters",
         [](In1<float> azimuth, In1<float> slope, In1<float> range_m) -> std::optional<Tuple<Out<double>, Out<double>, double>> {
@@ -150,7 +150,7 @@ void bind_sensor_id(nb::module_& m) {
             return tuple_of(array_of(found->elevation), array_of(found->origin_m), found->sharpness);
         },
         "azimuth"_in, "slope"_in, "range_m"_in,
-        "Elevations at which returns (N,) gather, heights of their origin, and sharpness; or None.");
+        "Return elevations at which returns (N,) cluster, heights of their origin, and sharpness; or None.");
 }
 
 }  // namespace viewshed

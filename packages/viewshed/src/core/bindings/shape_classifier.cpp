@@ -27,7 +27,7 @@ void bind_shape_classifier(nb::module_& m) {
             return array(std::move(prob), {count, classes});
         },
         "shapes"_in, "mean"_in, "scale"_in, "first"_in, "first_bias"_in, "second"_in, "second_bias"_in, "third"_in,
-        "third_bias"_in, "Probability (C, classes) of each class for shapes (C, S), by a network of three layers.");
+        "third_bias"_in, "Return class probabilities (C, classes) of shapes (C, S), by a network of three layers.");
 }
 
 }  // namespace viewshed

@@ -1,11 +1,11 @@
-// The stages, each in a file of its own, that the module offers to Python.
+// Stages that the module offers to Python, one file each.
 #pragma once
 
 #include "bindings.hpp"
 
 namespace viewshed {
 
-// Results of stages that several bindings hand back.
+// Results of stages returned by several bindings.
 struct RangeImage;
 struct LevelPoints;
 struct LeveledReturns;
@@ -15,11 +15,11 @@ using LevelArrays = Tuple<Out<float>, Out<float>, Out<float>, Out<float>, Out<st
 RangeImageArrays range_image_arrays(RangeImage&& image);
 LevelArrays level_arrays(LevelPoints&& level);
 
-// The returns (M,) of a leveled sweep that several bindings take.
+// Check and view the returns (M,) of a leveled sweep.
 LeveledReturns returns_of(const In1<float>& azimuth, const In1<float>& range_m, const In1<float>& height_m, float low_m,
                           float high_m);
 
-// The files of bindings, in the order in which the module offers them.
+// Binding files, in the order in which the module binds them.
 #define VIEWSHED_BINDINGS(bind)                                                                                     \
     bind(range_image) bind(sensor_id) bind(ground) bind(held_ground) bind(leveling)                                 \
     bind(level_sweep) bind(no_return) bind(grid) bind(height_map) bind(visibility) bind(evidence)                   \

@@ -28,34 +28,34 @@ Transform transform_of(const In2<float>& values) {
     return transform_of(values.data());
 }
 
-// A transform that keeps places of a sweep where cells can be numbered.
+// Check that a transform keeps positions in the range of cell numbers.
 Transform bounded(const Transform& transform) {
     for (const float value : transform.m) require(std::fabs(value) < 1e7f, "transforms must be less than 1e7");
     return transform;
 }
 
-// The transforms (K, 3, 4) to the sensors' frames of other sweeps, one for each.
+// Check and copy the transforms (K, 3, 4) to the sensor frames of other sweeps.
 std::vector<Transform> transforms_of(const std::vector<const SweepView*>& views, const In3<float>& transforms) {
     require(transforms.shape(0) == views.size() && transforms.shape(1) == 3 && transforms.shape(2) == 4,
             "transforms must have shape (K, 3, 4), one for each view");
-    std::vector<Transform> each;
+    std::vector<Transform> result;
     for (std::size_t k = 0; k < views.size(); ++k) {
         require(views[k] != nullptr, "views must be views");
-        each.push_back(transform_of(transforms.data() + 12 * k));
+        result.push_back(transform_of(transforms.data() + 12 * k));
     }
-    return each;
+    return result;
 }
 
-// Other sweeps, with the transforms to their sensors' frames (K, 3, 4), and the time in seconds from each to the one before.
+// Combine other sweeps with the transforms (K, 3, 4)to their frames and the seconds to the sweep before.
 std::vector<Other> others_of(const std::vector<const SweepView*>& views, const In3<float>& transforms,
                              const In1<float>& gaps_s) {
-    const std::vector<Transform> to_each = transforms_of(views, transforms);
+    const std::vector<Transform> transforms_to_views = transforms_of(views, transforms);
     require(gaps_s.shape(0) == views.size(), "gaps_s must have one value for each view");
     std::vector<Other> others;
     for (std::size_t k = 0; k < views.size(); ++k) {
         const float gap_s = read_once(view(gaps_s), k);
         require(std::isfinite(gap_s) && gap_s > 0.0f, "gaps_s must be positive");
-        others.push_back({views[k], to_each[k], gap_s});
+        others.push_back({views[k], transforms_to_views[k], gap_s});
     }
     return others;
 }
@@ -63,7 +63,7 @@ std::vector<Other> others_of(const std::vector<const SweepView*>& views, const I
 }  // namespace
 
 void bind_temporal_evidence(nb::module_& m) {
-    nb::class_<SweepView>(m, "SweepView", "What a sweep saw, to be held against sweeps before and after it.")
+    nb::class_<SweepView>(m, "SweepView", "View of a sweep, to be compared with sweeps before and after it.")
         .def(
             "__init__",
             [](SweepView* self, In2<float> squared_m2, In1<float> phase, In1<float> elevation, In1<float> origin_m,
@@ -101,14 +101,14 @@ void bind_temporal_evidence(nb::module_& m) {
                In1<float> gaps_s, const SweepView& around, In2<float> around_from_self, std::size_t sectors) {
                 require(sectors >= 1 && sectors <= 3600, "sectors must lie in [1, 3600]");
                 const std::vector<Other> others = others_of(views, transforms, gaps_s);
-                const Transform placed = transform_of(around_from_self);
+                const Transform transform = transform_of(around_from_self);
                 Buffer<float> speed_mps(sectors);
-                without_lock([&] { follow_all(self, others, around, placed, speed_mps); });
+                without_lock([&] { follow_all(self, others, around, transform, speed_mps); });
                 return array(std::move(speed_mps));
             },
             "views"_a, "transforms"_in, "gaps_s"_in, "around"_a, "around_from_self"_in, "sectors"_a,
-            "Speed m/s that obstacles need to be found as these views found them (sectors,), by azimuth about the sweep "
-            "`around`.")
+            "Return the speed (sectors,) in m/s that obstacles need to match these views, by azimuth around the "
+            "sweep `around`.")
         .def(
             "jumps",
             [](const SweepView& self, const std::vector<const SweepView*>& views, In3<float> transforms,
@@ -122,7 +122,7 @@ void bind_temporal_evidence(nb::module_& m) {
                 return array(std::move(jump_m));
             },
             "views"_a, "transforms"_in, "gaps_s"_in, "sectors"_a,
-            "How far surfaces jump (sectors,) m against constant speeds, over the two views before.")
+            "Return how far surfaces jump (sectors,) in m relative to constant speed, over the two views before.")
         .def(
             "repeats",
             [](const SweepView& self, const std::vector<const SweepView*>& views, std::size_t sectors) {
@@ -142,8 +142,8 @@ void bind_temporal_evidence(nb::module_& m) {
                 return array(std::move(share), {views.size(), sectors});
             },
             "views"_a, "sectors"_a,
-            "Share of the ranges that repeat those of other views, less what noise repeats (views, sectors); NaN where too "
-            "few beams returned in both.")
+            "Return the share (views, sectors) of ranges that repeat those of other views, minus what noise repeats; "
+            "NaN where too few beams returned in both.")
         .def(
             "new_ranges",
             [](const SweepView& self, const std::vector<const SweepView*>& views, const std::vector<float>& turned,
@@ -162,16 +162,17 @@ void bind_temporal_evidence(nb::module_& m) {
                 return tuple_of(array(std::move(nearer)), array(std::move(farther)), array(std::move(silent)));
             },
             "views"_a, "turned"_a, "sectors"_a,
-            "Share of the returns nearer, and farther, than all that beams about them had in other views, and of the beams that "
-            "returned in all of those and do not now (sectors,); turned is by how many radians the sensor turned since each.")
+            "Return the share (sectors,) of returns nearer, and farther, than all neighboring beams in other views, "
+            "and of beams that returned in all of those but not now; turned is the sensor's rotation in radians "
+            "since each view.")
         .def(
             "register_on",
             [](const SweepView& self, const std::vector<const SweepView*>& views, In3<float> transforms) {
-                const std::vector<Transform> to_each = transforms_of(views, transforms);
+                const std::vector<Transform> transforms_to_views = transforms_of(views, transforms);
                 std::vector<Registration> found(views.size());
                 without_lock([&] {
                     for_ranges(views.size(), views.size(), [&](std::size_t, std::size_t begin, std::size_t end) {
-                        for (std::size_t k = begin; k < end; ++k) found[k] = register_on(self, *views[k], to_each[k]);
+                        for (std::size_t k = begin; k < end; ++k) found[k] = register_on(self, *views[k], transforms_to_views[k]);
                     });
                 });
                 Buffer<double> step(3 * views.size()), information(9 * views.size()), sigma_m(views.size());
@@ -189,8 +190,8 @@ void bind_temporal_evidence(nb::module_& m) {
                                 array(std::move(matches)));
             },
             "views"_a, "transforms"_in,
-            "Turn and shift (K, 3) that lay the obstacles on the surfaces of each of other views, the information about "
-            "them (K, 3, 3), the deviation of a return in meters (K,), and how many were used (K,).");
+            "Register the obstacles on the surfaces of other views: return rotation and shift (K, 3), information "
+            "matrix (K, 3, 3), standard deviation of a return in m (K,), and number of returns used (K,).");
 
     m.def(
         "best_shift",
@@ -206,19 +207,19 @@ void bind_temporal_evidence(nb::module_& m) {
             return tuple_of(shift.down, shift.across, int(shift.cells), int(shift.elsewhere));
         },
         "now"_in, "before"_in, "most"_a,
-        "Shift (down, across) in cells, each in [-most, most], that lays cells of a sweep best on those of another, how many cells "
-        "it lays on each other, and how many the best shift more than two cells away does; edges go around, and the first of the "
-        "best counts.");
+        "Return the shift (down, across) in cells, each in [-most, most], with the largest overlap of two masks, its "
+        "overlap, and the largest overlap more than two cells away; edges wrap around, and the first of equal shifts "
+        "counts.");
     m.def(
         "range_noise",
         [](Points points, float step_share, float step_m, std::size_t least) {
             return without_lock([&] { return range_noise(view(points), step_share, step_m, least); });
         },
         "points"_in, "step_share"_a, "step_m"_a, "least"_a,
-        "Lower quartile m of second differences of range between returns that follow each other on one surface; NaN where "
-        "there are fewer than `least`.");
+        "Return the lower quartile in m of second differences of range between consecutive returns on one surface; "
+        "NaN with fewer than `least`.");
 
-    nb::class_<CellMemory>(m, "CellMemory", "The obstacles of the last seconds of a stream, in cells of the world.")
+    nb::class_<CellMemory>(m, "CellMemory", "Obstacles of a stream's last seconds, in world-fixed cells.")
         .def(nb::init<>())
         .def("copy", [](const CellMemory& self) { return CellMemory(self); })
         .def_prop_ro("cells", &CellMemory::cells)
@@ -229,16 +230,16 @@ void bind_temporal_evidence(nb::module_& m) {
                std::size_t sectors) {
                 require(sectors >= 1 && sectors <= 3600, "sectors must lie in [1, 3600]");
                 require(std::isfinite(t_s), "t_s must be finite");
-                const Transform placed = bounded(transform_of(now_from_memory));
+                const Transform transform = bounded(transform_of(now_from_memory));
                 const std::vector<Other> earlier = others_of(views, transforms, gaps_s);
-                // With the interpreter's lock: another thread may add a sweep to the memory.
+                // Keep the GIL: another thread may add a sweep to the memory.
                 Buffer<float> gone_m(sectors), new_m2(sectors);
-                self.check(now, placed, t_s, earlier, gone_m, new_m2);
+                self.check(now, transform, t_s, earlier, gone_m, new_m2);
                 return tuple_of(array(std::move(gone_m)), array(std::move(new_m2)));
             },
             "now"_a, "now_from_memory"_in, "t_s"_a, "views"_a, "transforms"_in, "gaps_s"_in, "sectors"_a,
-            "Meters of standing surfaces that the sweep looks through, area m2 of obstacles that are new and came fast "
-            "(sectors,), by azimuth about the sweep.")
+            "Return by azimuth around the sweep (sectors,) the meters of standing surfaces that it looks through, "
+            "and the area in m2 of obstacles that are new and came too fast.")
         .def(
             "add",
             [](CellMemory& self, const SweepView& now, In2<float> memory_from_now, In2<float> now_from_memory, double t_s) {
@@ -246,7 +247,7 @@ void bind_temporal_evidence(nb::module_& m) {
                 self.add(now, bounded(transform_of(memory_from_now)), bounded(transform_of(now_from_memory)), t_s);
             },
             "now"_a, "memory_from_now"_in, "now_from_memory"_in, "t_s"_a,
-            "Remember the obstacles of a sweep; forget what was not seen for ten seconds.");
+            "Add the obstacles of a sweep; forget cells not seen for ten seconds.");
 }
 
 }  // namespace viewshed

@@ -9,7 +9,7 @@ namespace viewshed {
 void bind_visibility(nb::module_& m) {
     m.attr("AZIMUTH_COLUMNS") = AZIMUTH_COLUMNS;
     m.attr("GROUND_SECTORS") = GROUND_SECTORS;
-    nb::class_<CellWindows>(m, "CellWindows", "The windows of azimuth of a target in each cell of a grid.")
+    nb::class_<CellWindows>(m, "CellWindows", "Azimuth windows of a target in each cell of a grid.")
         .def(
             "__init__",
             [](CellWindows* self, In2<float> range_m, In2<float> azimuth, double cell_m, double width_m) {

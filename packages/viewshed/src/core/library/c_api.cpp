@@ -1,4 +1,4 @@
-// The C interface: arguments are checked here, and nothing is thrown out of it.
+// C interface: arguments are checked here, and no exception leaves it.
 #include "viewshed.h"
 
 #include <algorithm>
@@ -23,11 +23,11 @@ namespace {
 
 using namespace viewshed;
 
-constexpr std::size_t MOST_POINTS = 20'000'000, MOST_STEP = 1 << 20, MOST_CELLS = 4096, MOST_RETURNS = 10'000;
-constexpr int MOST_RINGS = 4096;
-constexpr double MOST_HEIGHT_M = 100.0, MOST_EXTENT_M = 1e4, UNIT_TOLERANCE = 1e-3;
+constexpr std::size_t MAX_POINTS = 20'000'000, MAX_STEP = 1 << 20, MAX_CELLS = 4096, MAX_RETURNS = 10'000;
+constexpr int MAX_RINGS = 4096;
+constexpr double MAX_HEIGHT_M = 100.0, MAX_EXTENT_M = 1e4, UNIT_TOLERANCE = 1e-3;
 
-// A stream: its estimator, and what the next sweep may expect.
+// A stream: its estimator, and the expected sensor of the next sweep.
 struct Stream {
     Stream(const BevGrid& grid, const Target& target, const SensorModel* model, bool infers_sensor)
         : estimator(grid, target), model(model), infers_sensor(infers_sensor) {}
@@ -40,7 +40,7 @@ struct Stream {
     std::optional<Buffer<bool>> visible;  // of the last estimate
 };
 
-// The open streams by their numbers, which never come again. They are not ended with the process: a thread may still use one.
+// Open streams by number; numbers are never reused. The map is never deleted: a thread may use it at process exit.
 std::mutex streams_mutex;
 auto& streams = *new std::unordered_map<viewshed_stream, std::shared_ptr<Stream>>;
 viewshed_stream last_stream = 0;
@@ -55,7 +55,7 @@ void set_error(const char* text) noexcept {
     error_text[sizeof error_text - 1] = '\0';
 }
 
-// Run a call, and turn what it throws into a status.
+// Run a call, and convert exceptions to a status.
 template <typename Call>
 viewshed_status guarded(const Call& call) noexcept {
     try {
@@ -98,7 +98,7 @@ std::shared_ptr<Stream> stream_of(viewshed_stream number) {
     return found->second;
 }
 
-// The rotation of a unit quaternion w, x, y, z.
+// Return the rotation of a unit quaternion w, x, y, z.
 Rotation rotation_of(const double* quaternion) {
     double q[4], squares = 0.0;
     std::copy_n(quaternion, 4, q);
@@ -111,7 +111,7 @@ Rotation rotation_of(const double* quaternion) {
             2 * (x * z - w * y),     2 * (y * z + w * x),     1 - 2 * (x * x + y * y)};
 }
 
-// The points and rings of a sweep without rows that are not finite: copies, whatever else writes the caller's arrays.
+// Copies of the finite points of a sweep and their rings: the caller's arrays may change meanwhile.
 struct Rows {
     std::size_t count = 0;
     Buffer<float> points;
@@ -121,10 +121,10 @@ struct Rows {
 Rows rows_of(const viewshed_sweep& sweep, int rings) {
     const std::size_t step = sweep.point_step == 0 ? 3 * sizeof(float) : sweep.point_step;
     const std::size_t ring_step = sweep.ring_step == 0 ? sizeof(std::uint16_t) : sweep.ring_step;
-    require_that(sweep.count <= MOST_POINTS, "count must be at most 20 million points", sweep.count);
+    require_that(sweep.count <= MAX_POINTS, "count must be at most 20 million points", sweep.count);
     require_that(sweep.points != nullptr || sweep.count == 0, "points must not be null", "null");
-    require_that(step >= 3 * sizeof(float) && step <= MOST_STEP, "point_step must lie in [12, 1048576]", step);
-    require_that(ring_step >= sizeof(std::uint16_t) && ring_step <= MOST_STEP, "ring_step must lie in [2, 1048576]", ring_step);
+    require_that(step >= 3 * sizeof(float) && step <= MAX_STEP, "point_step must lie in [12, 1048576]", step);
+    require_that(ring_step >= sizeof(std::uint16_t) && ring_step <= MAX_STEP, "ring_step must lie in [2, 1048576]", ring_step);
     Rows rows{0, Buffer<float>(3 * sweep.count), std::nullopt};
     if (sweep.ring != nullptr) rows.ring.emplace(sweep.count);
     const auto* point = static_cast<const unsigned char*>(sweep.points);
@@ -169,24 +169,24 @@ viewshed_status viewshed_open(const viewshed_options* options, viewshed_stream* 
         *stream = 0;
         require_that(options != nullptr, "options must not be null", "null");
         const viewshed_options o = *options;
-        require_that(o.cells >= 1 && o.cells <= MOST_CELLS, "cells must lie in [1, 4096]", o.cells);
-        require_that(o.half_extent_m >= 0.01 && o.half_extent_m <= MOST_EXTENT_M, "half_extent_m must lie in [0.01, 10000]", o.half_extent_m);
+        require_that(o.cells >= 1 && o.cells <= MAX_CELLS, "cells must lie in [1, 4096]", o.cells);
+        require_that(o.half_extent_m >= 0.01 && o.half_extent_m <= MAX_EXTENT_M, "half_extent_m must lie in [0.01, 10000]", o.half_extent_m);
         for (const double offset : o.offset_m) {
-            require_that(std::fabs(offset) <= MOST_EXTENT_M, "offset_m must lie within 10000 m", offset);
+            require_that(std::fabs(offset) <= MAX_EXTENT_M, "offset_m must lie within 10000 m", offset);
         }
         const auto is_size = [](double size) { return size > 0.0 && size <= 100.0; };
         require_that(is_size(o.target_width_m), "target_width_m must lie in (0, 100]", o.target_width_m);
         require_that(is_size(o.target_height_m), "target_height_m must lie in (0, 100]", o.target_height_m);
-        require_that(o.min_returns >= 1 && o.min_returns <= MOST_RETURNS, "min_returns must lie in [1, 10000]", o.min_returns);
+        require_that(o.min_returns >= 1 && o.min_returns <= MAX_RETURNS, "min_returns must lie in [1, 10000]", o.min_returns);
         const std::string name = o.sensor == nullptr ? "" : std::string(o.sensor, strnlen(o.sensor, 64));
         const SensorModel* const model = find_sensor(name);
         require_that(model != nullptr || o.sensor == nullptr || name == "none",
                      "sensor must be null, \"none\", or a beam table as vlp16 or hdl32e", name);
-        auto made = std::make_shared<Stream>(BevGrid{o.cells, o.half_extent_m, o.offset_m[0], o.offset_m[1]},
+        auto opened = std::make_shared<Stream>(BevGrid{o.cells, o.half_extent_m, o.offset_m[0], o.offset_m[1]},
                                              Target{o.target_width_m, o.target_height_m, int(o.min_returns)}, model,
                                              name != "none");
         const std::lock_guard lock(streams_mutex);
-        streams.emplace(last_stream + 1, std::move(made));
+        streams.emplace(last_stream + 1, std::move(opened));
         *stream = ++last_stream;
     });
 }
@@ -199,13 +199,13 @@ viewshed_status viewshed_estimate(viewshed_stream stream, const viewshed_sweep* 
         require_that(state != nullptr, "state must not be null", "null");
         require_that(cells == of->estimator.grid().size(), "cells must be those of the stream's grid, cells * cells", cells);
         const viewshed_sweep s = *sweep;
-        const Rows rows = rows_of(s, of->model == nullptr ? MOST_RINGS : int(of->model->beams.rings()));
+        const Rows rows = rows_of(s, of->model == nullptr ? MAX_RINGS : int(of->model->beams.rings()));
         SweepInput input{{rows.points.data(), rows.count, 3}, std::nullopt, of->model, of->infers_sensor,
                          std::nullopt, std::nullopt, std::nullopt};
         if (rows.ring) input.ring = View1<const std::int16_t>{rows.ring->data(), rows.count};
         if (s.attitude != nullptr) input.attitude = rotation_of(s.attitude);
         if (!std::isnan(s.sensor_height_m)) {
-            require_that(s.sensor_height_m > 0.0 && s.sensor_height_m < MOST_HEIGHT_M, "sensor_height_m must lie in (0, 100)",
+            require_that(s.sensor_height_m > 0.0 && s.sensor_height_m < MAX_HEIGHT_M, "sensor_height_m must lie in (0, 100)",
                          s.sensor_height_m);
             input.height_m = s.sensor_height_m;
         }
@@ -260,7 +260,7 @@ viewshed_status viewshed_outline(viewshed_stream stream, double* corners_m, size
 
 viewshed_status viewshed_close(viewshed_stream stream) {
     return guarded([&] {
-        std::shared_ptr<Stream> last;  // ends after the lock, and after calls that still use it
+        std::shared_ptr<Stream> last;  // destroyed after the lock is released and pending calls have ended
         const std::lock_guard lock(streams_mutex);
         const auto found = streams.find(stream);
         if (found == streams.end()) throw NoStream();
