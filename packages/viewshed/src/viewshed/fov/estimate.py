@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from viewshed import _core, _outputs
 from viewshed._files import write_atomic
-from viewshed.arrays import Mask, frozen, whole
+from viewshed.arrays import Mask, as_int, frozen
 from viewshed.fov.visibility import CAR, Target
 from viewshed.geometry import FloatArray, Rigid
 from viewshed.grid import BevGrid
@@ -149,7 +149,7 @@ class FovEstimate:
             raise ValueError(f"threshold must lie in (0, 1], got {self.threshold}")
         object.__setattr__(self, "threshold", float(self.threshold))
         if self.t_ns is not None:
-            object.__setattr__(self, "t_ns", whole("t_ns", self.t_ns))
+            object.__setattr__(self, "t_ns", as_int("t_ns", self.t_ns))
         state = np.asarray(self.state)  # before the cast, which would wrap
         if state.size and not (state.min() >= 0 and state.max() <= max(CellState)):
             raise ValueError(f"state must lie in [0, {max(CellState):d}], got {state.min()}…{state.max()}")

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from viewshed import _core
-from viewshed.arrays import whole
+from viewshed.arrays import as_int
 from viewshed.fov.height_map import HeightMap
 from viewshed.grid import BevGrid, polar_of_cells
 
@@ -44,7 +44,7 @@ class Target:
             value = getattr(self, key)
             if not (np.isfinite(value) and 0 < value <= 100):
                 raise ValueError(f"{key} must lie in (0, 100], got {value}")
-        object.__setattr__(self, "min_returns", whole("min_returns", self.min_returns))
+        object.__setattr__(self, "min_returns", as_int("min_returns", self.min_returns))
         if not 1 <= self.min_returns <= 10_000:
             raise ValueError(f"min_returns must lie in [1, 10000], got {self.min_returns}")
 
