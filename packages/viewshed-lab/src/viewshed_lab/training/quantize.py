@@ -114,7 +114,7 @@ def _rewrite_conv(graph: ChannelsLastGraph, node: onnx.NodeProto, x: str, in_blo
     """Add what a convolution 3 × 3 of ``x`` does, on cells or on blocks of 2 × 2 cells."""
     name, (weight, *bias) = node.output[0], [graph.constants[each] for each in node.input[1:]]
     if x == "blocks":  # of bytes / 255
-        weight = weight * graph.card.most_shown
+        weight = weight * graph.card.max_input
     if in_blocks:
         weight, bias = weight_in_blocks(weight), [np.tile(each, 4) for each in bias]
     constants = [graph.constant(f"{name}_weight", weight), *(graph.constant(f"{name}_bias", each) for each in bias)]
