@@ -41,12 +41,12 @@ class LidarModel:
         shots: (azimuth_columns, rings, 2) float64 radians: azimuth and elevation of every shot in firing order, NaN
             where nothing is fired; for a sensor whose pattern is not its rings, or whose field is below 360°. None if
             each column fires every ring at its azimuth. Only the simulator reads it. Without rings, ``elevation``
-            is a ladder from the lowest shot to the highest.
+            has equal steps from the lowest shot to the highest.
         reach_m: range at which a target of 10 % reflectivity that faces the sensor has a detection probability of
             50 %, or None if not stated.
         reach_source: where ``reach_m`` comes from.
         fires_rings: False for a sensor with a pattern without rings (Livox): no rings are recovered from its returns,
-            and ``elevation`` is a ladder from the lowest shot to the highest, which the simulator fires.
+            and ``elevation`` has equal steps from the lowest shot to the highest, which the simulator fires.
         inferred: whether the sensor may be inferred from points. False if another sensor has similar beams, or if the
             table was not verified on real sweeps.
 

@@ -150,7 +150,7 @@ def load_estimator(
     >>> load_estimator("shadow_map", grid="indoor", target="pedestrian").name
     'shadow_map'
     """
-    bev, box = None if grid is None else grid_named(grid), None if target is None else target_named(target)
+    bev_grid, target_box = None if grid is None else grid_named(grid), None if target is None else target_named(target)
     if isinstance(name, Path) or (name is not None and str(name).endswith(".onnx")):
         if weights is not None:
             raise ValueError(f"weights must be left out where a file is named, got {name} and {weights}; name one")
@@ -164,11 +164,11 @@ def load_estimator(
         raise ValueError(f"seed must be left out for unet, which draws no masks, got {seed}; use mc_dropout")
     if method in LEARNED:
         estimator: Estimator = load_network(
-            method, bev, box, weights=weights, passes=passes, seed=seed or 0, device=device
+            method, bev_grid, target_box, weights=weights, passes=passes, seed=seed or 0, device=device
         )
     else:
-        bev, box = bev or grid_named("road"), box or target_named("car")
-        known = {**CLASSICAL, **paper_estimators_on(bev)}
+        bev_grid, target_box = bev_grid or grid_named("road"), target_box or target_named("car")
+        known = {**CLASSICAL, **paper_estimators_on(bev_grid)}
         if method not in known:
             added = plugins("estimators")
             if method not in added:
@@ -176,7 +176,7 @@ def load_estimator(
             known[method] = load(added[method], callable, "a class or a function")
         if given:
             raise ValueError(f"{', '.join(given)} must be left out for {method}, which is no network; use unet")
-        estimator = known[method](bev, box)
+        estimator = known[method](bev_grid, target_box)
     return estimator if abstain_below is None else estimator.with_abstention(abstain_below)
 
 

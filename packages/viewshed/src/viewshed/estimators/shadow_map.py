@@ -59,7 +59,7 @@ class ShadowMap(ClassicalEstimator):
         return True
 
     def visible_prob(self, leveled: LeveledSweep, history: History | None) -> NDArray[np.float32]:
-        """Return the probability (cells, cells) float32 that a target in each cell gives ``min_returns`` returns."""
+        """Return the probability (cells, cells) that a target in each cell gives at least ``min_returns`` returns."""
         evidence = beam_evidence(leveled, self.grid, self.target, history)
         if self.no_return == "inferred":
             return calibrated_prob(leveled, evidence)

@@ -37,7 +37,7 @@ class BeamEvidence:
         inferred: float32 expected returns from no-return beams at their median depth.
         late: float32 expected returns from no-return beams at the depth that one in five of them exceeds.
         aimed: float32 number of measured and no-return beams aimed at the target, regardless of depth.
-        visible_prob: float32 probability that both kinds give ``target.min_returns`` returns, averaged over the
+        visible_prob: float32 probability of at least ``target.min_returns`` returns from both kinds, averaged over the
             distributions of ground height and beam depth; below the threshold where no claim is supported.
         within_reach: bool mask of cells within ``reach_m``.
         reach_m: maximum range of a dark target.
