@@ -62,7 +62,7 @@ def test_older_files_with_a_second_head_give_their_probability(shape: UNetShape,
 def test_many_passes_in_parts_are_the_same(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     runner, masks = OnnxRunner(path, 1, "onnxruntime"), SMALL.masks(7, np.random.default_rng(2))
     whole = runner.run(inputs(1), masks), runner.run(inputs(7), masks)
-    monkeypatch.setattr("viewshed.networks.runtime._CELLS_AT_ONCE", 3 * GRID.cells**2)
+    monkeypatch.setattr("viewshed.networks.runtime._MAX_CELLS_PER_RUN", 3 * GRID.cells**2)
     parts = runner.run(inputs(1), masks), runner.run(inputs(7), masks)
     np.testing.assert_allclose(parts, whole, atol=1e-6)
 

@@ -34,7 +34,7 @@ if __version__ != _core.VERSION:
     )
 
 _HOMES = {
-    # what most users need, in the order of the flow
+    # what most users need, in data-flow order
     "read_sweep": "io", "open_recording": "recordings.recording", "Sweep": "sweep",
     "estimate": "estimators", "load_estimator": "estimators",
     "FovEstimate": "fov.estimate", "CellState": "fov.estimate",
@@ -45,7 +45,7 @@ _HOMES = {
     "ESTIMATORS": "estimators", "FovEstimator": "fov.estimate", "write_sweep": "io",
 }  # fmt: skip
 
-_OF_LABORATORY = ("Archive", "Sample", "WORLDS", "attacks")
+_LAB_NAMES = ("Archive", "Sample", "WORLDS", "attacks")
 
 __all__ = [
     "CAR", "ESTIMATORS", "GRIDS", "PEDESTRIAN", "BevGrid", "CellState", "FovEstimate", "FovEstimator", "LidarModel",
@@ -55,8 +55,8 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    """Import a public name when it is first used, so that ``import viewshed`` stays light."""
-    if name in _OF_LABORATORY:
+    """Import a public name on first use, to keep ``import viewshed`` fast."""
+    if name in _LAB_NAMES:
         with needed_for(f"viewshed.{name}"):
             return plugin("names", name, f"viewshed.{name}")
     if name not in _HOMES:
@@ -69,8 +69,8 @@ def __dir__() -> list[str]:
     return sorted([*__all__, *plugins("names"), "__version__"])
 
 
-def _later(module: str, name: str) -> Any:
-    """Return a function that is imported when it is first called."""
+def _lazy(module: str, name: str) -> Any:
+    """Return a function that imports ``viewshed.MODULE.NAME`` when called, and calls it."""
 
     def call(*arguments: Any) -> Any:
         return getattr(import_module(f"viewshed.{module}"), name)(*arguments)
@@ -78,6 +78,6 @@ def _later(module: str, name: str) -> Any:
     return call
 
 
-_outputs.save, _outputs.draw = _later("io.export", "save_estimate"), _later("show.plot", "draw_estimate")
+_outputs.save, _outputs.draw = _lazy("io.export", "save_estimate"), _lazy("show.plot", "draw_estimate")
 
 _moved.install()

@@ -1,4 +1,4 @@
-"""``python -m viewshed``: the command line where no program ``viewshed`` is on the path."""
+"""``python -m viewshed``: the command line, if the program ``viewshed`` is not on the path."""
 
 from viewshed.cli import main
 

@@ -1,7 +1,8 @@
-"""What only some commands need: packages of an extra, and what other installed packages add to viewshed.
+"""Optional dependencies (pip extras) and plugins (entry points of other packages).
 
-Packages of an extra are imported where they are used, and one line names what is missing. Another package, such as the
-laboratory ``viewshed-lab``, adds commands, estimators, formats, sensors and more by entry points: docs/architecture.md.
+Packages of an extra are imported on first use; if one is missing, the error names the ``pip install`` command. Other
+packages, such as the laboratory ``viewshed-lab``, add commands, estimators, formats, sensors and more by entry points:
+docs/architecture.md.
 """
 
 from __future__ import annotations
@@ -23,22 +24,22 @@ EXTRAS = {
     **dict.fromkeys(("scipy", "cbor2", "cwt", "cryptography", "zenoh"), "viewshed[agents]"),
     "rasterio": "viewshed[geo]", "rerun": "viewshed[view]",
 }  # fmt: skip
-"""What to install for a package, by the name under which Python imports it."""
+"""Import name of a package → what to install."""
 
 _DISTRIBUTIONS = {
     "foxglove": "foxglove-sdk", "rerun": "rerun-sdk", "zenoh": "eclipse-zenoh",
     "velodyne_decoder": "velodyne-decoder", "yaml": "pyyaml",
 }  # fmt: skip
-"""What is installed, where that is not the name of the import."""
+"""Import name of a package → its distribution name, where they differ."""
 
 
 @contextmanager
 def needed_for(task: str, install: str | None = None) -> Iterator[None]:
-    """Import packages of an extra inside; one that is not installed is an error that names it and what brings it.
+    """Turn a failed import of an optional package within the block into an error that names the install command.
 
     Args:
-        task: what needs them, the beginning of the message: ``reading bags``.
-        install: what to install; None is what :data:`EXTRAS` says of the package.
+        task: what needs the package; the message begins with it: ``reading bags``.
+        install: what to install; None takes the package's entry of :data:`EXTRAS`.
 
     Raises:
         ImportError: a package is not installed.
@@ -52,34 +53,34 @@ def needed_for(task: str, install: str | None = None) -> Iterator[None]:
         package = str(error.name).partition(".")[0]
         if package not in EXTRAS:
             raise
-        # pip takes the viewshed that is there, of a release or a checkout, and adds what the extra names.
-        wanted = f"pip install '{install or EXTRAS[package]}'"
-        raise ImportError(f"{task} needs {_DISTRIBUTIONS.get(package, package)}: {wanted}", name=package) from error
+        # pip keeps the installed viewshed (release or checkout) and adds the packages of the extra.
+        command = f"pip install '{install or EXTRAS[package]}'"
+        raise ImportError(f"{task} needs {_DISTRIBUTIONS.get(package, package)}: {command}", name=package) from error
 
 
 def plugins(group: str) -> dict[str, EntryPoint]:
-    """Return what installed packages add to viewshed in a group of entry points ``viewshed.GROUP``, by name."""
+    """Return the entry points of installed packages in the group ``viewshed.GROUP``, by name."""
     return {point.name: point for point in entry_points(group=f"viewshed.{group}")}
 
 
 def load(point: EntryPoint, fits: Callable[[Any], bool] | None = None, kind: str = "") -> Any:
-    """Return what an entry point names.
+    """Return the object of an entry point.
 
     Args:
-        point: of an installed package.
-        fits: whether what was loaded can be used; None takes anything.
-        kind: what must be named, for the message: ``"a function"``.
+        point: entry point of an installed package.
+        fits: returns whether the loaded object is valid; None accepts any object.
+        kind: expected kind of object, for the message: ``"a function"``.
 
     Raises:
-        ImportError: it cannot be loaded, or is of another kind.
+        ImportError: the object cannot be loaded, or ``fits`` rejects it.
     """
     try:
         loaded = point.load()
         if fits is not None and not fits(loaded):
             raise TypeError(f"it must name {kind}, got {loaded!r}")
-    except Exception as error:  # the code of another package may raise anything
+    except Exception as error:  # code of another package may raise any exception
         if isinstance(error, ModuleNotFoundError) and str(error.name).partition(".")[0] in EXTRAS:
-            raise  # needed_for names what brings it
+            raise  # needed_for adds the install command
         package = point.dist.name if point.dist is not None else "the package"
         problem = " ".join(str(error).split()) or type(error).__name__
         raise ImportError(
@@ -90,21 +91,21 @@ def load(point: EntryPoint, fits: Callable[[Any], bool] | None = None, kind: str
 
 
 def needs_laboratory(task: str) -> ImportError:
-    """Return the error of a task that needs the laboratory where it is not installed."""
+    """Return the ImportError for a task that needs the laboratory, which is not installed."""
     install = f"pip install {LABORATORY} (in a checkout: pip install packages/{LABORATORY})"
     return ImportError(f"{task} needs {LABORATORY}: {install}", name="viewshed_lab")
 
 
 def plugin(group: str, name: str, task: str) -> Any:
-    """Return what an installed package adds under a name of a group.
+    """Return the object that an installed package adds to a group under a name.
 
     Args:
         group: commands, recordings, adversaries, drives or names.
-        name: in the group.
-        task: what needs it, the beginning of the message: ``--attack``.
+        name: name of the entry point in the group.
+        task: what needs the object; the message begins with it: ``--attack``.
 
     Raises:
-        ImportError: no installed package has it, or it cannot be loaded.
+        ImportError: no installed package adds it, or it cannot be loaded.
     """
     point = plugins(group).get(name)
     if point is None:

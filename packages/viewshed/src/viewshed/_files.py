@@ -1,4 +1,4 @@
-"""Files that survive a kill, written whole or not at all; archives of arrays."""
+"""Atomic writes of files and folders; reading of NPZ archives."""
 
 from __future__ import annotations
 
@@ -25,36 +25,36 @@ DAMAGED = (
     ValueError, KeyError, IndexError, TypeError, AttributeError, OverflowError, RuntimeError, EOFError, OSError,
     MemoryError, zipfile.BadZipFile, zlib.error, lzma.LZMAError, struct.error,
 )  # fmt: skip
-"""What the reader of a damaged archive of arrays, or of what it holds, may raise."""
+"""Exceptions that reading a damaged archive of arrays, or its content, may raise."""
 
 
-def read_arrays(raw: bytes, most_bytes: int, names: Iterable[str] = ()) -> dict[str, NDArray[Any]]:
-    """Return arrays of an NPZ by name, all of them unless some are named; nothing is unpickled.
+def read_arrays(raw: bytes, max_bytes: int, names: Iterable[str] = ()) -> dict[str, NDArray[Any]]:
+    """Return arrays of an NPZ file by name, without unpickling.
 
     Args:
-        raw: the file.
-        most_bytes: an array that is larger, unpacked, is refused.
-        names: of the arrays.
+        raw: content of the file.
+        max_bytes: maximum unpacked size of an array.
+        names: names of the arrays to read; empty reads all.
 
     Raises:
-        DAMAGED: the file is no such archive, an array is missing or too large.
+        DAMAGED: the file is no NPZ archive, or an array is missing or too large.
     """
     import numpy as np
 
     with zipfile.ZipFile(io.BytesIO(raw)) as archive:
         for member in [archive.getinfo(f"{name}.npy") for name in names] or archive.infolist():
-            if member.file_size > most_bytes:
-                raise ValueError(f"{member.filename} must be at most {most_bytes} bytes, got {member.file_size}")
+            if member.file_size > max_bytes:
+                raise ValueError(f"{member.filename} must be at most {max_bytes} bytes, got {member.file_size}")
     with np.load(io.BytesIO(raw), allow_pickle=False) as file:
         return {name: file[name] for name in names or file.files}
 
 
-_YOUNG_S = 10.0
-"""A draft that is younger may be one that a running process has not locked yet."""
+_MIN_DRAFT_AGE_S = 10.0
+"""Younger drafts are kept: a running process may not have locked its draft yet."""
 
 
 def write_atomic(path: str | Path, content: bytes) -> None:
-    """Write ``content`` to a new file beside ``path`` and move it into place, so that nobody sees half of it.
+    """Write ``content`` to a new file beside ``path``, then rename it to ``path``: readers never see a partial file.
 
     Raises:
         OSError: the folder does not exist or cannot be written; no file is left behind.
@@ -64,10 +64,10 @@ def write_atomic(path: str | Path, content: bytes) -> None:
 
 
 def require_parent(path: Path) -> None:
-    """Check that the folder exists that a file or folder is to lie in.
+    """Check that the parent folder of ``path`` exists.
 
     Raises:
-        OSError: it does not.
+        OSError: it does not exist, or is no folder.
     """
     if not path.parent.is_dir():
         kind = NotADirectoryError if path.parent.exists() else FileNotFoundError
@@ -76,7 +76,7 @@ def require_parent(path: Path) -> None:
 
 @contextmanager
 def open_atomic(path: str | Path) -> Iterator[BinaryIO]:
-    """Open a new file beside ``path`` for writing; it is moved into place when the block ends without an error.
+    """Open a new file beside ``path`` for writing; rename it to ``path`` when the block ends without an error.
 
     Raises:
         OSError: the folder does not exist or cannot be written; no file is left behind.
@@ -99,7 +99,7 @@ def open_atomic(path: str | Path) -> Iterator[BinaryIO]:
 
 @contextmanager
 def draft_folder(target: Path) -> Iterator[Path]:
-    """Make a folder beside ``target`` to write it in before it is moved into place; it is removed when the block ends.
+    """Make a draft folder beside ``target``, which the caller fills and renames; remove it when the block ends.
 
     Raises:
         OSError: the folder does not exist or cannot be written.
@@ -107,37 +107,37 @@ def draft_folder(target: Path) -> Iterator[Path]:
     remove_old_drafts(target)
     draft = _draft_of(target)
     draft.mkdir()
-    held = _held(draft)
+    lock = _open_locked(draft)
     try:
         yield draft
     finally:
         shutil.rmtree(draft, ignore_errors=True)
-        if held is not None:
-            os.close(held)
+        if lock is not None:
+            os.close(lock)
 
 
 def remove_old_drafts(target: Path) -> None:
     """Remove the drafts of ``target`` that killed processes left beside it.
 
-    A process holds a lock on its draft as long as it lives. Where the system has no such locks nothing is removed.
+    A living process holds a lock on its draft. On systems without such locks nothing is removed.
     """
     name = re.compile(rf"\.{re.escape(target.name[:100])}\.[0-9a-f]{{12}}\.part")
-    found = target.parent.iterdir() if target.parent.is_dir() else ()
-    for draft in [each for each in found if name.fullmatch(each.name)]:
-        held = _held(draft)
-        if held is None:
+    siblings = target.parent.iterdir() if target.parent.is_dir() else ()
+    for draft in [path for path in siblings if name.fullmatch(path.name)]:
+        lock = _open_locked(draft)
+        if lock is None:
             continue
-        if time.time() - os.fstat(held).st_mtime > _YOUNG_S:
+        if time.time() - os.fstat(lock).st_mtime > _MIN_DRAFT_AGE_S:
             shutil.rmtree(draft, ignore_errors=True) if draft.is_dir() else draft.unlink(missing_ok=True)
-        os.close(held)
+        os.close(lock)
 
 
 def _draft_of(target: Path) -> Path:
     return target.with_name(f".{target.name[:100]}.{secrets.token_hex(6)}.part")
 
 
-def _held(draft: Path) -> int | None:
-    """Return a descriptor that holds the lock of a draft; None where another process has it, or none can be had."""
+def _open_locked(draft: Path) -> int | None:
+    """Return a file descriptor that holds the lock of a draft; None if it cannot be locked."""
     if sys.platform == "win32":
         return None
     try:
@@ -151,7 +151,7 @@ def _held(draft: Path) -> int | None:
 
 
 def _lock(descriptor: int) -> bool:
-    """Lock a file or folder until it is closed, or its process ends; return whether that was possible."""
+    """Lock a file or folder until it is closed or the process ends; return whether that succeeded."""
     if sys.platform == "win32":
         return False
     import fcntl

@@ -1,4 +1,4 @@
-"""Import paths of version 0.3, taken as well in version 0.4: ``viewshed.integrity.report`` is now in ``monitor``."""
+"""Import paths of version 0.3 that version 0.4 still accepts: ``viewshed.integrity`` is now ``viewshed.monitor``."""
 
 from __future__ import annotations
 
@@ -39,31 +39,31 @@ MOVED = {
     "viewshed.threats": "viewshed_lab.threats",
     "viewshed.training": "viewshed_lab.training",
 }
-"""Path of version 0.3 → path now; of several that fit the longest counts."""
+"""Path in version 0.3 → current path; the longest matching prefix counts."""
 
 
 class _MovedFinder(MetaPathFinder):
-    """Finds a module under its former path."""
+    """Finds a module by its former path."""
 
     def find_spec(self, name: str, path: object = None, target: object = None) -> ModuleSpec | None:
         parts = name.split(".")
         for count in range(len(parts), 1, -1):
-            now = MOVED.get(".".join(parts[:count]))
-            if now is not None:
-                return spec_from_loader(name, _NowAt(".".join([now, *parts[count:]])))
+            path_now = MOVED.get(".".join(parts[:count]))
+            if path_now is not None:
+                return spec_from_loader(name, _MovedLoader(".".join([path_now, *parts[count:]])))
         return None
 
 
-class _NowAt(Loader):
-    """Loads a module from its path now: both names are one module."""
+class _MovedLoader(Loader):
+    """Loads a module from its current path; both names refer to the same module object."""
 
-    def __init__(self, now: str) -> None:
-        self._now = now
+    def __init__(self, path: str) -> None:
+        self._path = path
 
     def create_module(self, spec: ModuleSpec) -> ModuleType:
-        warnings.warn(f"{spec.name} is now {self._now}", DeprecationWarning, stacklevel=2)
+        warnings.warn(f"{spec.name} is now {self._path}", DeprecationWarning, stacklevel=2)
         try:
-            module = import_module(self._now)
+            module = import_module(self._path)
         except ModuleNotFoundError as error:
             if error.name != "viewshed_lab":
                 raise
@@ -76,6 +76,6 @@ class _NowAt(Loader):
 
 
 def install() -> None:
-    """Let former paths be imported."""
+    """Make former paths importable."""
     if not any(isinstance(finder, _MovedFinder) for finder in sys.meta_path):
         sys.meta_path.insert(0, _MovedFinder())

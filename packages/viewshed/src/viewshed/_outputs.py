@@ -1,6 +1,6 @@
-"""What writes and draws an estimate: formats and pictures know the field of view, which knows these names alone.
+"""Hooks to save and draw an estimate, so that ``fov`` needs no import of ``io`` and ``show``, the layers above it.
 
-``viewshed`` itself fills them in, before any of its modules is imported.
+``viewshed/__init__.py`` sets them before any other module is imported.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from viewshed.preprocess.leveling import LeveledSweep
 
 save: Callable[[FovEstimate, Path], None]
-"""Writes an estimate in the format of the path's suffix; raises ValueError where there is none."""
+"""Writes an estimate in the format of the path's suffix; raises ValueError if the suffix is unknown."""
 
 draw: Callable[[FovEstimate, LeveledSweep | None, str, bool], bytes]
-"""Returns a PNG of an estimate, with the sweep that it was made from or without, its heading, on a dark page or not."""
+"""Returns a PNG of an estimate, its leveled sweep (or None), a title, and whether the background is dark."""

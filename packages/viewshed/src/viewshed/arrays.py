@@ -1,4 +1,4 @@
-"""Types of arrays, by what they hold; read-only arrays and whole numbers."""
+"""Array types, read-only arrays, and checked integers."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ Mask = NDArray[np.bool_]
 
 
 def frozen(array: NDArray[Any]) -> NDArray[Any]:
-    """Return a contiguous read-only array; a view is enough, the caller's own array stays writable."""
+    """Return a contiguous read-only view (a copy if not contiguous); the caller's array stays writable."""
     view = np.ascontiguousarray(array).view()
     view.setflags(write=False)
     return view
 
 
-def whole(name: str, value: Any) -> int:
-    """Return a whole number, numpy's as well, as one of Python; anything else is a ValueError."""
+def as_int(name: str, value: Any) -> int:
+    """Return a Python int for a Python or NumPy integer; anything else, bool included, raises ValueError."""
     try:
         if not isinstance(value, bool):
             return index(value)

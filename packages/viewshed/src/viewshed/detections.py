@@ -1,4 +1,4 @@
-"""Objects as a detector gives them: boxes in one frame, with what is known of each."""
+"""Detections: the boxes of a detector in one frame, with kind and number of returns of each."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from viewshed.arrays import frozen
 from viewshed.geometry import Rigid
 
 BOX_COLUMNS = ("x_m", "y_m", "z_m", "length_m", "width_m", "height_m", "yaw")
-"""Numbers of a box: its center, its size, and its heading in radians, counter-clockwise from x."""
+"""Columns of a box: center, size, and heading in radians, counter-clockwise from x."""
 
 
 class ObjectKind(IntEnum):
-    """What an object is, by its size."""
+    """Class of an object, by its size."""
 
     OTHER = 0
     PEDESTRIAN = 1
@@ -28,24 +28,24 @@ class ObjectKind(IntEnum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Detections:
-    """The objects that a detector found in one sweep, in one frame (``level`` of the sweep, unless stated otherwise).
+    """Objects detected in one sweep, in one frame (``level`` of the sweep, unless stated otherwise).
 
     Raises:
         ValueError: the lengths differ, a number is not finite, a size is not positive, or a count is negative.
     """
 
     boxes: NDArray[np.float64]  # (K, 7) float64, columns ``BOX_COLUMNS``
-    kinds: NDArray[np.uint8]  # (K,) uint8 of :class:`ObjectKind`; a kind that is none of them is OTHER
-    returns: NDArray[np.int32]  # (K,) int32 returns in each box; 0 where that is not known
+    kinds: NDArray[np.uint8]  # (K,) uint8 of :class:`ObjectKind`; unknown values become OTHER
+    returns: NDArray[np.int32]  # (K,) int32 number of returns in each box; 0 if unknown
 
     def __post_init__(self) -> None:
         kinds, returns = np.asarray(self.kinds), np.asarray(self.returns)
-        # Before the cast, which would wrap: what is out of range, or NaN, is OTHER.
+        # Replace values out of range and NaN before the cast, which would wrap them.
         kinds = np.where((kinds >= 0) & (kinds < len(ObjectKind)), kinds, ObjectKind.OTHER)
-        wrong = ~((returns >= 0) & (returns <= np.iinfo(np.int32).max))
-        if wrong.any():
+        invalid = ~((returns >= 0) & (returns <= np.iinfo(np.int32).max))
+        if invalid.any():
             raise ValueError(
-                f"returns must be counts of 0 or more, got {returns[wrong][0]}; give 0 where none is known"
+                f"returns must be counts of 0 or more, got {returns[invalid][0]}; give 0 where none is known"
             )
         for name, values, kind in (
             ("boxes", self.boxes, np.float64), ("kinds", kinds, np.uint8), ("returns", returns, np.int32)
@@ -74,19 +74,19 @@ class Detections:
         return cls(np.zeros((0, 7)), np.zeros(0, np.uint8), np.zeros(0, np.int32))
 
     def take(self, chosen: NDArray[Any]) -> Self:
-        """Return some of them, by a mask (K,) or by their numbers."""
+        """Return the objects selected by a mask (K,) or by indices."""
         return type(self)(self.boxes[chosen], self.kinds[chosen], self.returns[chosen])
 
     def moved(self, other_from_here: Rigid) -> Self:
-        """Return the same objects in another frame whose z axis is upright as well."""
+        """Return the objects in another frame with a vertical z axis."""
         return type(self)(moved_boxes(self.boxes, other_from_here), self.kinds, self.returns)
 
 
 def moved_boxes(boxes: NDArray[np.floating[Any]], other_from_here: Rigid) -> NDArray[np.float64]:
-    """Return boxes (K, 7) in another frame whose z axis is upright as well: center and heading are moved.
+    """Return boxes (K, 7) in another frame with a vertical z axis: center and heading are transformed.
 
-    >>> quarter = Rigid.from_yaw(np.pi / 2)
-    >>> moved_boxes(np.array([[1.0, 0.0, 0.5, 4.0, 2.0, 1.5, 0.0]]), quarter).round(3).tolist()
+    >>> quarter_turn = Rigid.from_yaw(np.pi / 2)
+    >>> moved_boxes(np.array([[1.0, 0.0, 0.5, 4.0, 2.0, 1.5, 0.0]]), quarter_turn).round(3).tolist()
     [[0.0, 1.0, 0.5, 4.0, 2.0, 1.5, 1.571]]
     """
     moved = np.array(boxes, np.float64)

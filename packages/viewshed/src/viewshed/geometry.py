@@ -2,7 +2,7 @@
 
 Frames (meters, radians): ``sensor`` is x forward, y left, z up with the sensor at the origin;
 ``level`` is gravity-aligned with the sensor's yaw and its origin on the ground below the sensor;
-``world`` is the level frame of the map. A transform is named after what it maps: ``world_from_sensor @ points``.
+``world`` is the level frame of the map. ``world_from_sensor @ points`` maps points from ``sensor`` to ``world``.
 """
 
 from __future__ import annotations
@@ -17,35 +17,31 @@ FloatArray = NDArray[np.floating[Any]]
 
 _UNIT_TOLERANCE = 1e-3
 
-_SAME = np.eye(3)
+_IDENTITY = np.eye(3)
 
-_UNEVEN = 1e-3 + 1e-5 * _SAME
+_ORTHONORMAL_TOLERANCE = 1e-3 + 1e-5 * _IDENTITY
 
 
 def pose_covariance_of(values: ArrayLike, name: str) -> NDArray[np.float64]:
-    """Return the covariance (6, 6) of a pose, of x, y, z in meters and of turns about them in radians, checked.
+    """Return the checked (6, 6) covariance of a pose: x, y, z in meters, then rotations about them in radians.
 
-    Covariances are rounded to float32: an eigenvalue below zero by no more than 1e-5 of the trace is none.
+    The tolerance is 1e-5 of the trace, because senders round covariances to float32.
 
     Raises:
-        ValueError: it is not finite, not symmetric, or has a negative eigenvalue; ``name`` says whose it is.
+        ValueError: it is not finite, not symmetric, or has a negative eigenvalue; the message begins with ``name``.
     """
     covariance = np.array(values, np.float64)
     if covariance.shape != (6, 6) or not np.isfinite(covariance).all():
-        raise ValueError(f"{name} must be (6, 6) finite numbers, got {_first_odd(covariance)}; give none if unknown")
-    slack = 1e-5 * float(np.abs(np.diag(covariance)).sum()) + 1e-9
-    uneven = float(np.abs(covariance - covariance.T).max())
-    if uneven > slack:
-        raise ValueError(f"{name} must be symmetric, got numbers {uneven:g} apart; give the upper triangle twice")
-    least = float(np.linalg.eigvalsh((covariance + covariance.T) / 2.0)[0])
-    if not least >= -slack:
-        raise ValueError(f"{name} must have no negative eigenvalue, got {least:g}; give m² and rad², 0 if exact")
+        got = covariance[~np.isfinite(covariance)][0] if covariance.shape == (6, 6) else f"shape {covariance.shape}"
+        raise ValueError(f"{name} must be (6, 6) finite numbers, got {got}; give none if unknown")
+    tolerance = 1e-5 * float(np.abs(np.diag(covariance)).sum()) + 1e-9
+    asymmetry = float(np.abs(covariance - covariance.T).max())
+    if asymmetry > tolerance:
+        raise ValueError(f"{name} must be symmetric, got numbers {asymmetry:g} apart; give the upper triangle twice")
+    eigenvalue = float(np.linalg.eigvalsh((covariance + covariance.T) / 2.0)[0])
+    if not eigenvalue >= -tolerance:
+        raise ValueError(f"{name} must have no negative eigenvalue, got {eigenvalue:g}; give m² and rad², 0 if exact")
     return covariance
-
-
-def _first_odd(covariance: NDArray[np.float64]) -> str:
-    odd = covariance[~np.isfinite(covariance)]
-    return f"{odd[0]}" if covariance.shape == (6, 6) else f"shape {covariance.shape}"
 
 
 def rotation_from_quaternion(quaternion_wxyz: ArrayLike) -> NDArray[np.float64]:
@@ -76,7 +72,7 @@ def rotation_from_quaternion(quaternion_wxyz: ArrayLike) -> NDArray[np.float64]:
 def quaternion_from_rotation(rotation: ArrayLike) -> NDArray[np.float64]:
     """Return the unit quaternion (w, x, y, z), w ≥ 0, of a (3, 3) rotation matrix.
 
-    The largest eigenvector of Bar-Itzhack's symmetric matrix: stable for every angle.
+    It is the eigenvector of the largest eigenvalue of Bar-Itzhack's symmetric matrix, stable for every angle.
 
     >>> quaternion_from_rotation(np.diag([1.0, -1.0, -1.0])).round(3).tolist()
     [0.0, 1.0, 0.0, 0.0]
@@ -115,7 +111,8 @@ class Rigid:
             raise ValueError(f"a rigid transform must be (3, 3) and (3,), got {rotation.shape} and {translation.shape}")
         if not (np.isfinite(rotation).all() and np.isfinite(translation).all()):
             raise ValueError("a rigid transform must be finite")
-        if (np.abs(rotation @ rotation.T - _SAME) > _UNEVEN).any() or _determinant(rotation.tolist()) < 0:
+        error = np.abs(rotation @ rotation.T - _IDENTITY)
+        if (error > _ORTHONORMAL_TOLERANCE).any() or _determinant(rotation.tolist()) < 0:
             raise ValueError("rotation must be orthonormal and right-handed (determinant +1)")
         rotation.setflags(write=False)
         translation.setflags(write=False)
@@ -124,7 +121,7 @@ class Rigid:
 
     @classmethod
     def identity(cls) -> Rigid:
-        """Return the transform that changes nothing."""
+        """Return the identity transform."""
         return cls(np.eye(3), np.zeros(3))
 
     @classmethod
@@ -149,7 +146,7 @@ class Rigid:
         return cls(np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]), np.asarray(translation, dtype=np.float64))
 
     def inverse(self) -> Rigid:
-        """Return the transform that undoes this one."""
+        """Return the inverse transform."""
         return Rigid(self.rotation.T, -self.rotation.T @ self.translation)
 
     def as_matrix(self) -> NDArray[np.float64]:
@@ -176,13 +173,13 @@ class Rigid:
 
 
 def _determinant(rows: list[list[float]]) -> float:
-    """Return the determinant of a matrix (3, 3): of so few numbers Python's own arithmetic is the fastest."""
+    """Return the determinant of a (3, 3) matrix; plain Python is faster than NumPy at this size."""
     (a, b, c), (d, e, f), (g, h, i) = rows
     return a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
 
 
 def attitude_of(rotation: ArrayLike) -> NDArray[np.float64]:
-    """Return the quaternion (w, x, y, z) of ``level_from_sensor``: a rotation (3, 3) to the world without its yaw.
+    """Return the quaternion (w, x, y, z) of ``level_from_sensor``: ``world_from_sensor`` (3, 3) without its yaw.
 
     >>> attitude_of(Rigid.from_yaw(1.0).rotation).round(6).tolist()
     [1.0, 0.0, 0.0, 0.0]

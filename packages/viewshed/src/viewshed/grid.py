@@ -1,4 +1,4 @@
-"""BevGrid: the only place where meters become cells."""
+"""BevGrid: a bird's-eye-view grid, which converts meters to cells."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from viewshed import _core
-from viewshed.arrays import whole
+from viewshed.arrays import as_int
 from viewshed.geometry import FloatArray, Rigid
 
 MAX_CELLS = 4096
@@ -37,7 +37,7 @@ class BevGrid:
     offset_m: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "cells", whole("cells", self.cells))
+        object.__setattr__(self, "cells", as_int("cells", self.cells))
         if not 1 <= self.cells <= MAX_CELLS:
             raise ValueError(f"cells must lie in [1, {MAX_CELLS}], got {self.cells}")
         if not (np.isfinite(self.half_extent_m) and self.half_extent_m > 0):
@@ -48,7 +48,7 @@ class BevGrid:
         object.__setattr__(self, "offset_m", (float(self.offset_m[0]), float(self.offset_m[1])))
 
     def __reduce__(self) -> tuple[type[BevGrid], tuple[int, float, tuple[float, float]]]:
-        """Pickle what it is made of, not the centers."""
+        """Pickle the constructor's arguments, not the cached centers."""
         return BevGrid, (self.cells, self.half_extent_m, self.offset_m)
 
     @property
@@ -81,13 +81,13 @@ class BevGrid:
         return centers
 
     def index(self, xy: FloatArray) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
-        """Return cell indices (…, 2) of points (…, 2+) and whether each lies inside (…); outside points get (-1, -1).
+        """Return cell indices (…, 2) of points (…, 2+) and a mask (…) of those inside; points outside get (-1, -1).
 
         >>> BevGrid(4, 2.0).index(np.array([[0.0, -2.0], [2.0, 0.0]]))[0].tolist()
         [[2, 0], [-1, -1]]
         """
         xy = np.asarray(xy, np.float64)
-        if xy.shape[-1:] < (2,):  # a single column would count as x and as y
+        if xy.shape[-1:] < (2,):  # a single column would be broadcast to x and y
             raise ValueError(f"points must have shape (…, 2+), got {xy.shape}")
         scaled = (xy[..., :2] - self.origin_m) / self.cell_m
         x, y = scaled[..., 0], scaled[..., 1]
@@ -104,10 +104,10 @@ class BevGrid:
         height_m: tuple[float, float] = (-np.inf, np.inf),
         null_range_m: float = 0.0,
     ) -> NDArray[np.int32]:
-        """Return (cells, cells) int32 counts of points (N, 3) after the transform to ``level``.
+        """Return (cells, cells) int32 counts of points (N, 3+), transformed to ``level``.
 
-        Points farther than ``max_range_m`` (horizontal) or outside ``height_m`` (z in ``level``) are left out, and so
-        are null returns: nearer than ``null_range_m`` to the origin of ``points``.
+        Not counted: points farther than ``max_range_m`` (horizontal), outside ``height_m`` (z in ``level``), or within
+        ``null_range_m`` of the origin of ``points`` (null returns).
 
         >>> int(BevGrid(4, 2.0).count(np.array([[0.5, 0.5, 0.0], [9.0, 0.0, 0.0]])).sum())
         1
@@ -134,7 +134,7 @@ GRIDS: dict[str, BevGrid] = {
     "paper": BevGrid(512, 80.0),
     "paper_indoor": BevGrid(512, 18.0),
 }
-"""The preset grids by name: ours for roads and rooms, and the paper's two."""
+"""The preset grids by name: for roads and for rooms, and both of arXiv 2503.07375 (``paper…``)."""
 
 
 @lru_cache(maxsize=8)

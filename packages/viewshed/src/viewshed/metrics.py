@@ -1,4 +1,4 @@
-"""How well a probability of visible agrees with the truth: agreement, ranking and calibration."""
+"""Metrics of the probability of visible against truth: confusion counts, ranking, calibration."""
 
 from __future__ import annotations
 
@@ -14,29 +14,29 @@ from viewshed.arrays import Mask
 
 @dataclass(frozen=True, slots=True)
 class ConfusionCounts:
-    """How many cells of two masks agree, over any number of samples.
+    """Confusion counts of the cells of two masks, over any number of samples.
 
     >>> counts = ConfusionCounts(6, 2, 2, 10, area_m2=5.0)
     >>> counts.precision, counts.recall, counts.f1, counts.iou, counts.over_m2
     (0.75, 0.75, 0.75, 0.6, 0.5)
     """
 
-    both: int = 0  # cells that both call visible
-    over: int = 0  # cells that only the estimate calls visible
-    under: int = 0  # cells that only the truth calls visible
-    neither: int = 0  # cells that none calls visible
-    area_m2: float = 0.0  # of all of them together
-    samples: int = 1  # how many samples
+    both: int = 0  # cells visible in estimate and truth (true positives)
+    over: int = 0  # cells visible in the estimate only (false positives)
+    under: int = 0  # cells visible in the truth only (false negatives)
+    neither: int = 0  # cells visible in neither (true negatives)
+    area_m2: float = 0.0  # total area of these cells
+    samples: int = 1  # number of samples
 
     @classmethod
     def of(cls, claimed: Mask, true: Mask, mask: Mask, cell_area_m2: float) -> ConfusionCounts:
-        """Return the counts of two masks over the cells of a third one."""
+        """Return the counts of the masks ``claimed`` and ``true`` over the cells of ``mask``."""
         cells, claims, trues = int(mask.sum()), int((claimed & mask).sum()), int((true & mask).sum())
         both = int((claimed & true & mask).sum())
         return cls(both, claims - both, trues - both, cells - claims - trues + both, cells * cell_area_m2)
 
     def __add__(self, other: ConfusionCounts) -> ConfusionCounts:
-        """Return both together."""
+        """Return the sums of the counts."""
         return ConfusionCounts(*(getattr(self, name) + getattr(other, name) for name in self.__slots__))
 
     @property
@@ -66,17 +66,17 @@ class ConfusionCounts:
 
     @property
     def iou(self) -> float:
-        """Cells that both call visible over those that any does; NaN where none does."""
+        """Intersection over union of the claimed and the visible cells; NaN if both are empty."""
         return _rate(self.both, self.both + self.over + self.under)
 
     @property
     def over_m2(self) -> float:
-        """Area of a sample, on average, that is claimed and not visible."""
+        """Mean area per sample that is claimed but not visible, in square meters."""
         return self.over * _rate(self.area_m2, self.cells) / self.samples
 
     @property
     def under_m2(self) -> float:
-        """Area of a sample, on average, that is visible and not claimed."""
+        """Mean area per sample that is visible but not claimed, in square meters."""
         return self.under * _rate(self.area_m2, self.cells) / self.samples
 
 
@@ -85,10 +85,10 @@ def _rate(part: float, whole: float) -> float:
 
 
 STEPS = 1000
-"""Probabilities are counted in steps of 0.001; thresholds are whole steps."""
+"""Steps of the histogram of probabilities, 0.001 each; thresholds are multiples of a step."""
 
 BINS = 15
-"""Bins of the calibration error, of equal width."""
+"""Number of bins of the calibration error, of equal width."""
 
 FORMAT_VERSION = 1
 
@@ -96,7 +96,7 @@ _PROB_UNITS = 2**24
 
 _SQUARE_UNITS = 2**28
 
-_MOST_STD = 0.5
+_MAX_STD = 0.5
 
 _CHUNK = 2**24
 
@@ -121,10 +121,10 @@ def _no_bins() -> Counts:
 
 @dataclass(slots=True, eq=False)
 class Scores:
-    """All that is counted of probabilities against truth, cell by cell; it grows with ``add`` and adds up with ``+``.
+    """Histograms of probabilities against truth, from which all metrics follow; fill by ``add``, merge by ``+``.
 
-    Everything is kept as whole numbers, so that the order and grouping of sweeps do not change a bit of the result.
-    The caller hands in the cells whose truth is known, and no others.
+    All counts are integers: the order and grouping of sweeps do not change the result.
+    Pass only cells whose truth is known.
 
     >>> scores = Scores()
     >>> scores.add([0.9, 0.8, 0.6, 0.1], [True, True, False, False])
@@ -134,18 +134,17 @@ class Scores:
     (0.105, 1.0)
     """
 
-    # (1001, 2) int64 cells by step of probability (step k holds [k, k + 1) thousandths) that are not visible, and that
-    # are
+    # (1001, 2) int64 counts of not visible and of visible cells, by step of probability: k holds [k, k + 1) thousandths
     steps: Counts = field(default_factory=_no_cells)
-    # (15, 3) int64 by calibration bin: cells, visible cells, and the sum of their probabilities in 2⁻²⁴
+    # (15, 3) int64 by calibration bin: cells, visible cells, sum of the cells' probabilities in units of 2⁻²⁴
     bins: Counts = field(default_factory=_no_bins)
-    squares: int = 0  # sum of squared errors of the probabilities in 2⁻²⁸
-    # (1001, 2) int64 cells by standard deviation, in steps of 0.0005 up to 0.5, that a threshold of 0.5 calls right,
-    # and wrong; cells that came without a deviation are not in it
+    squares: int = 0  # sum of squared errors of the probabilities in units of 2⁻²⁸
+    # (1001, 2) int64 counts of cells classified right and wrong at threshold 0.5, by standard deviation in steps of
+    # 0.0005 up to 0.5; cells without a standard deviation are not counted
     doubts: Counts = field(default_factory=_no_cells)
 
     def add(self, prob: ArrayLike, visible: ArrayLike, std: ArrayLike | None = None) -> None:
-        """Count cells.
+        """Add cells.
 
         Args:
             prob: (…) probability of visible in [0, 1].
@@ -162,29 +161,28 @@ class Scores:
             raise ValueError("prob must lie in [0, 1] and not be NaN")
         if std is not None:
             self._count_std(probs, truth, np.asarray(std, np.float32))
-        flat, seen = probs.reshape(-1), truth.reshape(-1)
-        for start in range(0, flat.size, _CHUNK):
-            self._count(flat[start : start + _CHUNK], seen[start : start + _CHUNK])
+        probs, truth = probs.reshape(-1), truth.reshape(-1)
+        for start in range(0, probs.size, _CHUNK):
+            self._count(probs[start : start + _CHUNK], truth[start : start + _CHUNK])
 
-    def _count(self, prob: NDArray[np.float32], seen: NDArray[np.bool_]) -> None:
-        """Count at most 2²⁴ cells: sums of whole numbers that a double holds exactly."""
-        self.steps += _histogram(_step_of(prob), seen)
+    def _count(self, prob: NDArray[np.float32], visible: NDArray[np.bool_]) -> None:
+        """Count at most 2²⁴ cells, so that a double holds the sums of integers exactly."""
+        self.steps += _histogram(_step_of(prob), visible)
         exact = prob.astype(np.float64)
         bins = np.minimum((exact * BINS).astype(np.intp), BINS - 1)
         units = np.bincount(bins, np.rint(exact * _PROB_UNITS), BINS)
-        self.bins += np.stack([np.bincount(bins, None, BINS), np.bincount(bins[seen], None, BINS), units], 1).astype(
-            int
-        )
-        self.squares += int(np.rint((exact - seen) ** 2 * _SQUARE_UNITS).sum())
+        cells, visible_cells = np.bincount(bins, None, BINS), np.bincount(bins[visible], None, BINS)
+        self.bins += np.stack([cells, visible_cells, units], 1).astype(int)
+        self.squares += int(np.rint((exact - visible) ** 2 * _SQUARE_UNITS).sum())
 
-    def _count_std(self, prob: NDArray[np.float32], seen: NDArray[np.bool_], std: NDArray[np.float32]) -> None:
+    def _count_std(self, prob: NDArray[np.float32], visible: NDArray[np.bool_], std: NDArray[np.float32]) -> None:
         if std.shape != prob.shape or not (std >= 0).all():
             raise ValueError(f"std must be {prob.shape} as prob is, not negative and not NaN, got {std.shape}")
-        level = np.rint(np.minimum(std, _MOST_STD) * (STEPS / _MOST_STD)).astype(np.intp)
-        self.doubts += _histogram(level.reshape(-1), ((prob >= _MOST_STD) != seen).reshape(-1))
+        level = np.rint(np.minimum(std, _MAX_STD) * (STEPS / _MAX_STD)).astype(np.intp)
+        self.doubts += _histogram(level.reshape(-1), ((prob >= _MAX_STD) != visible).reshape(-1))
 
     def __add__(self, other: Scores) -> Scores:
-        """Return both together."""
+        """Return the sums of the counts."""
         return Scores(*(getattr(self, name) + getattr(other, name) for name in self.__slots__))
 
     @property
@@ -193,10 +191,10 @@ class Scores:
         return int(self.steps.sum())
 
     def counts(self, threshold: float = 0.5) -> tuple[int, int, int, int]:
-        """Return how many cells both call visible, only the estimate, only the truth, and none.
+        """Return the numbers of cells visible in both, in the estimate only, in the truth only, and in neither.
 
         Raises:
-            ValueError: the threshold is not a whole step in (0, 1].
+            ValueError: the threshold is not a multiple of 0.001 in (0, 1].
         """
         step = round(threshold * STEPS)
         if not 0 < step <= STEPS or abs(threshold * STEPS - step) > 1e-6:
@@ -205,7 +203,7 @@ class Scores:
         return int(both), int(over), int(under), int(neither)
 
     def confusion(self, threshold: float = 0.5) -> ConfusionCounts:
-        """Return the counts at a threshold; they know no area."""
+        """Return the confusion counts at a threshold, without an area."""
         return ConfusionCounts(*self.counts(threshold))
 
     def precision(self, threshold: float = 0.5) -> float:
@@ -225,26 +223,26 @@ class Scores:
         return self.confusion(threshold).f1
 
     def iou(self, threshold: float = 0.5) -> float:
-        """Return the cells that both call visible over those that any does; NaN where none does."""
+        """Return the intersection over union of the claimed and the visible cells; NaN if both are empty."""
         return self.confusion(threshold).iou
 
     def auprc(self) -> float:
-        """Return average precision, Σ (Rₙ - Rₙ₋₁) Pₙ over thresholds in whole steps; NaN where no cell is visible.
+        """Return average precision, Σ (Rₙ - Rₙ₋₁) Pₙ over thresholds in steps of 0.001; NaN where no cell is visible.
 
-        The sum of scikit-learn's ``average_precision_score``: no interpolation between thresholds.
+        As scikit-learn's ``average_precision_score``, without interpolation between thresholds.
         """
         return _average_precision(self.steps)
 
     def reliability(self) -> NDArray[np.float64]:
         """Return (15, 3) by calibration bin: mean probability, share of visible cells, cells; NaN in empty bins."""
         cells = self.bins[:, 0].astype(np.float64)
-        some = np.where(cells > 0, cells, np.nan)
-        return np.stack([self.bins[:, 2] / (_PROB_UNITS * some), self.bins[:, 1] / some, cells], axis=1)
+        divisor = np.where(cells > 0, cells, np.nan)
+        return np.stack([self.bins[:, 2] / (_PROB_UNITS * divisor), self.bins[:, 1] / divisor, cells], axis=1)
 
     def ece(self) -> float:
         """Return the expected calibration error, Σ (n_b / n) |mean probability - share visible|; NaN without cells.
 
-        Over 15 bins of equal width (Naeini et al., AAAI 2015; Guo et al., ICML 2017), of the probability of visible.
+        The probability of visible has 15 bins b of equal width (Naeini et al., AAAI 2015; Guo et al., ICML 2017).
         """
         gaps = np.abs(self.bins[:, 2] / _PROB_UNITS - self.bins[:, 1])
         return _rate(float(gaps.sum()), self.cells)
@@ -254,11 +252,10 @@ class Scores:
         return _rate(self.squares / _SQUARE_UNITS, self.cells)
 
     def aurc(self) -> float:
-        """Return the area under the risk-coverage curve with doubt 1 - max(p, 1 - p); NaN without cells.
+        """Return the area under the risk-coverage curve with uncertainty 1 - max(p, 1 - p); NaN without cells.
 
-        The risk at coverage k / n is the share of wrong cells (at threshold 0.5) among the k least doubtful; the area
-        is its mean over k (Geifman, Uziel and El-Yaniv, ICLR 2019). Cells of equal doubt come in random order: the
-        expected value.
+        The risk at coverage k / n is the share of wrong cells (at threshold 0.5) among the k least uncertain; the area
+        is its mean over k (Geifman, Uziel and El-Yaniv, ICLR 2019). Ties are in random order: this is the expectation.
         """
         half = STEPS // 2
         low, high = self.steps[:half], self.steps[half:STEPS, ::-1][::-1].copy()
@@ -266,17 +263,17 @@ class Scores:
         return _area(low + high)
 
     def aurc_std(self) -> float:
-        """Return the area under the risk-coverage curve with the deviation as doubt; NaN where none was given."""
+        """Return the area under the risk-coverage curve with the standard deviation as uncertainty; NaN without any."""
         return _area(self.doubts)
 
     def summary(self, threshold: float = 0.5) -> dict[str, float]:
-        """Return every figure by name, those of a mask at the threshold."""
-        masks = {name: getattr(self, name)(threshold) for name in ("precision", "recall", "accuracy", "f1", "iou")}
-        areas = {name: getattr(self, name)() for name in ("auprc", "ece", "brier", "aurc", "aurc_std")}
-        return masks | areas
+        """Return every metric by name; those of a mask are at the threshold."""
+        of_mask = {name: getattr(self, name)(threshold) for name in ("precision", "recall", "accuracy", "f1", "iou")}
+        of_prob = {name: getattr(self, name)() for name in ("auprc", "ece", "brier", "aurc", "aurc_std")}
+        return of_mask | of_prob
 
     def to_json(self) -> dict[str, Any]:
-        """Return all counts as plain values; rows of zeros are left out."""
+        """Return all counts as JSON values; rows of zeros are left out."""
         return {
             "version": FORMAT_VERSION, "steps": _rows(self.steps), "bins": _rows(self.bins),
             "squares": self.squares, "doubts": _rows(self.doubts),
@@ -284,10 +281,10 @@ class Scores:
 
     @classmethod
     def from_json(cls, content: Mapping[str, Any]) -> Scores:
-        """Return the scores that ``to_json`` returned.
+        """Return the scores from the output of ``to_json``.
 
         Raises:
-            ValueError: they are of another version or damaged.
+            ValueError: ``content`` is of another version or damaged.
         """
         if content.get("version") != FORMAT_VERSION:
             raise ValueError(f"scores must be of version {FORMAT_VERSION}, got {content.get('version')}; score again")
@@ -299,7 +296,7 @@ class Scores:
 
 
 def average_precision(prob: NDArray[np.float32], visible: Mask) -> float:
-    """Return :meth:`Scores.auprc` of K cells alone, without the other counts.
+    """Return :meth:`Scores.auprc` of K cells, without computing the other counts.
 
     >>> average_precision(np.array([1, 1, 0, 0], np.float32), np.array([True, False, True, False]))
     0.5
@@ -308,13 +305,13 @@ def average_precision(prob: NDArray[np.float32], visible: Mask) -> float:
 
 
 def _average_precision(steps: Counts) -> float:
-    true, every = steps[::-1, 1].cumsum(), steps[::-1].sum(axis=1).cumsum()
+    true, claimed = steps[::-1, 1].cumsum(), steps[::-1].sum(axis=1).cumsum()
     rises = np.diff(true, prepend=0)
-    return _rate(float((rises * (true / np.maximum(every, 1))).sum()), int(true[-1]))
+    return _rate(float((rises * (true / np.maximum(claimed, 1))).sum()), int(true[-1]))
 
 
 def _step_of(prob: NDArray[np.float32]) -> NDArray[np.intp]:
-    """Return the last step whose edge is not above each probability, exactly as ``prob >= float32(k / 1000)``."""
+    """Return the largest step k with ``prob >= float32(k / 1000)`` for each probability, corrected for rounding."""
     step = (prob * np.float32(STEPS)).astype(np.intp)
     step -= prob < _EDGES[step]
     step += prob >= _EDGES[step + 1]
@@ -327,7 +324,7 @@ def _histogram(row: NDArray[np.intp], column: NDArray[np.bool_]) -> Counts:
 
 
 def _area(counts: Counts) -> float:
-    """Return the mean selective risk of cells in ascending doubt: (levels, 2) right and wrong."""
+    """Return the mean selective risk of counts (levels, 2) of right and wrong cells, in ascending uncertainty."""
     counts = counts[counts.any(axis=1)]
     cells, wrong = counts.sum(axis=1), counts[:, 1]
     before, wrong_before = cells.cumsum() - cells, wrong.cumsum() - wrong

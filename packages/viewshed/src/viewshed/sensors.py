@@ -1,4 +1,4 @@
-"""LidarModel: what is known about a sensor's beams, and the beam tables that travel with the package."""
+"""LidarModel: the beam table of a sensor; and the beam tables shipped with the package."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from viewshed._extras import load, plugins
-from viewshed.arrays import frozen, whole
+from viewshed.arrays import as_int, frozen
 
 MAX_RINGS = 4096
 
@@ -35,23 +35,23 @@ class LidarModel:
         origin_m: (rings,) float64 meters: height of the beam above the sensor's origin at horizontal range 0, so that
             its height at range r is ``origin_m + r * tan(elevation)``; zeros if left out.
         azimuth_columns: firings in one revolution.
-        min_range_m: returns nearer than this are the sensor itself or a null return.
-        max_range_m: farthest return; what lies beyond is none of this sensor.
+        min_range_m: nearer returns are the sensor itself or null returns.
+        max_range_m: farthest return of this sensor.
         source: where the table comes from.
-        shots: (azimuth_columns, rings, 2) float64 radians: azimuth and elevation of every shot in the order of firing,
-            NaN where nothing is fired, of a sensor that scans another pattern than its rings or only a part of the
-            circle; None where each column fires every ring at its azimuth. Only the simulator reads it. Without rings,
-            ``elevation`` is a ladder from the lowest shot to the highest.
-        reach_m: range up to which a target of 10 % reflectivity that faces the sensor returns every second time, or
-            None where it is not stated.
+        shots: (azimuth_columns, rings, 2) float64 radians: azimuth and elevation of every shot in firing order, NaN
+            where nothing is fired; for a sensor whose pattern is not its rings, or whose field is below 360°. None if
+            each column fires every ring at its azimuth. Only the simulator reads it. Without rings, ``elevation``
+            has equal steps from the lowest shot to the highest.
+        reach_m: range at which a target of 10 % reflectivity that faces the sensor has a detection probability of
+            50 %, or None if not stated.
         reach_source: where ``reach_m`` comes from.
-        fires_rings: False for a sensor that fires anywhere in its field (Livox): its returns belong to no rings, none
-            are looked for, and ``elevation`` is a ladder from the lowest shot to the highest. The simulator fires it.
-        inferred: whether the sensor may be inferred from points. False for those whose beams are like another's, or
-            whose table was never held against real sweeps.
+        fires_rings: False for a sensor with a pattern without rings (Livox): no rings are recovered from its returns,
+            and ``elevation`` has equal steps from the lowest shot to the highest, which the simulator fires.
+        inferred: whether the sensor may be inferred from points. False if another sensor has similar beams, or if the
+            table was not verified on real sweeps.
 
     Raises:
-        ValueError: an attribute is not as above.
+        ValueError: an attribute is invalid.
     """
 
     name: str
@@ -74,7 +74,7 @@ class LidarModel:
             raise ValueError(f"{self.name}: elevations must be 1 to {MAX_RINGS} finite numbers")
         if (np.diff(elevation) <= 0).any() or np.abs(elevation).max() > np.pi / 2:
             raise ValueError(f"{self.name}: elevations must ascend strictly within ±90°; ring 0 is the lowest beam")
-        object.__setattr__(self, "azimuth_columns", whole(f"{self.name}: azimuth_columns", self.azimuth_columns))
+        object.__setattr__(self, "azimuth_columns", as_int(f"{self.name}: azimuth_columns", self.azimuth_columns))
         if not 4 <= self.azimuth_columns <= 36_000:
             raise ValueError(f"{self.name}: azimuth_columns must lie in [4, 36000], got {self.azimuth_columns}")
         if not 0 <= self.min_range_m < self.max_range_m < 10_000:
@@ -113,7 +113,7 @@ class LidarModel:
 
     @property
     def fired(self) -> NDArray[np.bool_] | None:
-        """Which shots (azimuth_columns, rings) are fired, or None where all are."""
+        """(azimuth_columns, rings) bool mask of the fired shots, or None if all are fired."""
         return None if self.shots is None else ~np.isnan(self.shots[..., 0])
 
     @property
@@ -123,7 +123,7 @@ class LidarModel:
 
     @classmethod
     def from_toml(cls, path: str | Path) -> LidarModel:
-        """Return the model in a TOML file: keys as in the tables of this package (angles in degrees).
+        """Return the model in a TOML file, with the keys of the shipped beam tables (angles in degrees).
 
         Raises:
             ValueError: the file is not TOML, or a key is missing, unknown or out of range.
@@ -172,7 +172,7 @@ def _text(table: dict[str, Any], key: str) -> str:
 
 
 def _flag(table: dict[str, Any], key: str) -> bool:
-    """Return what is under ``key``, true if it is left out."""
+    """Return the boolean under ``key``, true if it is left out."""
     value = table.get(key, True)
     if not isinstance(value, bool):
         raise ValueError(f"{key} must be true or false, got {value!r}")
@@ -201,18 +201,18 @@ def inferable_sensors() -> tuple[str, ...]:
 
 @lru_cache(maxsize=1)
 def sensor_names() -> tuple[str, ...]:
-    """Return the names that :func:`lidar_model` knows, in alphabetical order."""
+    """Return the names of the shipped beam tables, in alphabetical order."""
     tables = resources.files("viewshed") / "beam_tables"
     return tuple(sorted(entry.name.removesuffix(".toml") for entry in tables.iterdir() if entry.name.endswith(".toml")))
 
 
 def lidar_model(name: str) -> LidarModel:
-    """Return the beam table called ``name`` (case and punctuation do not matter), or the one in the TOML file ``name``.
+    """Return the beam table called ``name`` (case and punctuation are ignored), or the one in the TOML file ``name``.
 
-    Tables that installed packages add (entry points ``viewshed.sensors``: a path of a TOML file) are known as well.
+    Installed packages can add tables by entry points ``viewshed.sensors``, each the path of a TOML file.
 
     Raises:
-        ValueError: no table has this name; the message lists those that exist.
+        ValueError: no table has this name; the message lists all names.
 
     >>> lidar_model("vlp-16").rings
     16
@@ -220,11 +220,11 @@ def lidar_model(name: str) -> LidarModel:
     if name.endswith(".toml"):
         return LidarModel.from_toml(name)
     for known in sensor_names():
-        if _plain(known) == _plain(name):
+        if _normalized(known) == _normalized(name):
             return _shipped(known)
     added = plugins("sensors")
     for known, point in added.items():
-        if _plain(known) == _plain(name):
+        if _normalized(known) == _normalized(name):
             return LidarModel.from_toml(
                 load(point, lambda path: isinstance(path, str | Path), "the path of a TOML file")
             )
@@ -233,9 +233,9 @@ def lidar_model(name: str) -> LidarModel:
 
 
 @lru_cache(maxsize=64)
-def _shipped(known: str) -> LidarModel:
-    return _parse((resources.files("viewshed") / "beam_tables" / f"{known}.toml").read_bytes(), f"{known}.toml")
+def _shipped(name: str) -> LidarModel:
+    return _parse((resources.files("viewshed") / "beam_tables" / f"{name}.toml").read_bytes(), f"{name}.toml")
 
 
-def _plain(name: str) -> str:
+def _normalized(name: str) -> str:
     return "".join(letter for letter in name.lower() if letter.isalnum())

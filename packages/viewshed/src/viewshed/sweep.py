@@ -1,4 +1,4 @@
-"""Sweep: what one sensor measured in one revolution."""
+"""Sweep: the returns of one sensor in one revolution."""
 
 from __future__ import annotations
 
@@ -9,68 +9,68 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from viewshed import _core
-from viewshed.arrays import frozen, whole
+from viewshed.arrays import as_int, frozen
 from viewshed.geometry import Rigid, attitude_of, pose_covariance_of, rotation_from_quaternion
 from viewshed.sensors import LidarModel, lidar_model
 
 
 def unorganized(sweep: Sweep) -> Sweep:
-    """Return the sweep without ring, firing azimuth and time; the sensor is known."""
+    """Return the sweep without ring, firing azimuth and time; the sensor model stays."""
     return sweep.replace(ring=None, azimuth=None, time_s=None)
 
 
 def unorganized_no_sensor(sweep: Sweep) -> Sweep:
-    """Return the sweep without ring, firing azimuth, time and sensor."""
+    """Return the sweep without ring, firing azimuth, time and sensor model."""
     return unorganized(sweep).replace(model=None)
 
 
 def bare_points(sweep: Sweep) -> Sweep:
-    """Return the points alone: no sensor, mounting height, attitude or pose either."""
+    """Return a sweep of the points only, without sensor model, mounting height, attitude and pose."""
     return Sweep(sweep.points)
 
 
 MAX_POINTS = 20_000_000
-"""The largest sweep that is accepted; a revolution of the densest sensors has about 300,000 returns."""
+"""Maximum number of points in a sweep; the densest sensors have about 300,000 returns per revolution."""
 
 
 REVOLUTION_S = 2.0
-"""The longest revolution that is accepted; sensors turn at 5 to 20 Hz."""
+"""Maximum duration of a revolution in seconds; sensors turn at 5 to 20 Hz."""
 
 _INT64 = 1 << 63
 
-_MOST_HEIGHT_M = 100.0
+_MAX_HEIGHT_M = 100.0
 
-_MOST_AZIMUTH = 2 * np.pi + 1e-3
+_MAX_AZIMUTH = 2 * np.pi + 1e-3
 
 LATEST_S = 9e9
-"""Times in seconds that are smaller fit int64 in nanoseconds."""
+"""Times below this fit int64 when converted from seconds to nanoseconds."""
 
 _COLUMNS = ("points", "intensity", "ring", "azimuth", "time_s")
 
-_MOST_COLUMNS = 16
-"""An array with more columns than this holds no point in a row."""
+_MAX_COLUMNS = 16
+"""An array with more columns does not have one point per row."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlanarScan:
-    """What is known of a sweep whose beams lie in one plane, z = 0 of the sensor's frame, beside its returns.
+    """No-return beams and maximum range of a planar scan (2-D laser), whose beams lie in z = 0 of the sensor frame.
 
     Raises:
-        ValueError: a shape or a value is not as above.
+        ValueError: a shape or a value is invalid.
 
     >>> PlanarScan(np.array([0.5, 1.0]), 30.0).open_azimuth.dtype.name
     'float32'
     """
 
-    # (K,) float32 radians within ±2π of the beams that met nothing up to ``max_range_m``
+    # (K,) float32 azimuths of the beams without a return up to ``max_range_m``, radians within ±2π
     open_azimuth: NDArray[np.float32]
-    max_range_m: float  # how far the sensor measures, positive; +inf where it does not say
+    max_range_m: float  # maximum measurable range, positive; +inf if the sensor does not state it
 
     def __post_init__(self) -> None:
         azimuth = np.asarray(self.open_azimuth)
         if azimuth.ndim != 1 or azimuth.dtype.kind not in "fiu":
             raise ValueError(f"open_azimuth must be (K,) real numbers, got {azimuth.dtype} of shape {azimuth.shape}")
-        if not (np.abs(azimuth) <= _MOST_AZIMUTH).all():
+        if not (np.abs(azimuth) <= _MAX_AZIMUTH).all():
             raise ValueError(f"open_azimuth must be finite radians within ±2π, got {azimuth.min():g}…{azimuth.max():g}")
         if not self.max_range_m > 0:
             raise ValueError(f"max_range_m must be positive, got {self.max_range_m:g}")
@@ -82,27 +82,27 @@ class Sweep:
     """One revolution of one LiDAR, in the sensor's own frame (x forward, y left, z up, sensor at the origin).
 
     Attributes:
-        points: (N, 3) float32, meters. Rows that are not finite are dropped, with their other columns.
+        points: (N, 3) float32, meters. Rows that are not finite are dropped from all columns.
         intensity: (N,) float32 in the sensor's own scale, or None.
-        ring: (N,) int16 beam index, 0 the lowest beam, or None where the format has none.
+        ring: (N,) int16 beam index, 0 the lowest beam, or None if the format has none.
         azimuth: (N,) float32 firing azimuth in radians within ±2π as the sensor reported it, or None.
         time_s: (N,) float32 seconds since the start of the sweep, within ±2 s, or None.
-        t_ns: time of the sweep in nanoseconds, as far as int64 reaches, or None.
-        attitude: quaternion (w, x, y, z) of ``level_from_sensor``, or None where it must be estimated.
-        sensor_height_m: mounting height above the ground below the sensor, or None where it must be estimated.
+        t_ns: time of the sweep in nanoseconds, within int64, or None.
+        attitude: quaternion (w, x, y, z) of ``level_from_sensor``, or None to estimate it.
+        sensor_height_m: mounting height above the ground below the sensor, or None to estimate it.
         world_from_sensor: pose in the map, or None.
-        model: what is known about the sensor's beams, or None.
-        infer_sensor: whether the sensor may be inferred from the points where ``model`` is None; False: there is none.
-        agent: who measured it.
-        dropped_points: how many rows were not finite and were left out.
+        model: beam table of the sensor, or None if unknown.
+        infer_sensor: whether to infer the sensor from the points if ``model`` is None; False: use no sensor model.
+        agent: name of the vehicle or unit that carries the sensor.
+        dropped_points: number of rows that were dropped because they were not finite.
         vehicle_yaw: heading of the vehicle that carries the sensor, radians counter-clockwise from the sensor's x, or
-            None where the returns near the sensor must tell it.
-        planar: for a scan in one plane (a 2-D laser), what is known beside its returns; None for any other sweep.
-        pose_covariance: (6, 6) float64 of the pose, of x, y, z in meters and of turns about them in radians, along the
-            axes of the map, as ROS has it; or None where nobody says.
+            None to estimate it from the returns near the sensor.
+        planar: no-return beams and maximum range of a planar scan (2-D laser); None for any other sweep.
+        pose_covariance: (6, 6) float64 covariance of the pose: x, y, z in meters, then rotations about these axes in
+            radians, in map axes (ROS convention); or None if unknown.
 
     Raises:
-        ValueError: a shape, a value or a type is not as above; the message says what to mend.
+        ValueError: a shape, a value or a type is invalid; the message names the fix.
 
     >>> sweep = Sweep(np.array([[5.0, 0.0, -1.0], [np.nan, 0.0, 0.0]]))
     >>> len(sweep), sweep.points.dtype.name, sweep.dropped_points
@@ -146,12 +146,12 @@ class Sweep:
                 column = _column(name, value, len(points), dtype)
                 _set(self, name, frozen(column if keep is None else column[keep]))
         self._check_ring()
-        self._check_span("azimuth", _MOST_AZIMUTH, "finite radians within ±2π")
+        self._check_span("azimuth", _MAX_AZIMUTH, "finite radians within ±2π")
         self._check_span("time_s", REVOLUTION_S, f"finite seconds within one revolution (±{REVOLUTION_S:g} s)")
         self._check_attitude()
         self._check_covariance()
         if self.t_ns is not None:
-            _set(self, "t_ns", whole("t_ns, in nanoseconds,", self.t_ns))
+            _set(self, "t_ns", as_int("t_ns, in nanoseconds,", self.t_ns))
             if not -_INT64 <= self.t_ns < _INT64:
                 raise ValueError(f"t_ns must be nanoseconds that fit int64, got {self.t_ns}")
         if self.vehicle_yaw is not None and not np.isfinite(self.vehicle_yaw):
@@ -159,8 +159,8 @@ class Sweep:
         if self.dropped_points < 0:
             raise ValueError(f"dropped_points must not be negative, got {self.dropped_points}")
         height = self.sensor_height_m
-        if height is not None and not (np.isfinite(height) and 0.0 < height < _MOST_HEIGHT_M):
-            raise ValueError(f"sensor_height_m must lie in (0, {_MOST_HEIGHT_M:g}), got {height:g}; give it in meters")
+        if height is not None and not (np.isfinite(height) and 0.0 < height < _MAX_HEIGHT_M):
+            raise ValueError(f"sensor_height_m must lie in (0, {_MAX_HEIGHT_M:g}), got {height:g}; give it in meters")
 
     def _check_ring(self) -> None:
         if self.ring is None or self.ring.size == 0:
@@ -197,22 +197,22 @@ class Sweep:
 
     @property
     def known_attitude(self) -> NDArray[np.float64] | None:
-        """Quaternion (w, x, y, z) of ``level_from_sensor``: the given one, else the pose's, else None."""
+        """Quaternion (w, x, y, z) of ``level_from_sensor``: ``attitude``, else that of the pose, else None."""
         if self.attitude is not None or self.world_from_sensor is None:
             return self.attitude
         return attitude_of(self.world_from_sensor.rotation)
 
     def select(self, keep: NDArray[np.bool_] | NDArray[np.intp]) -> Sweep:
-        """Return the sweep with the rows that ``keep`` ((N,) mask or indices) names, in that order."""
+        """Return the sweep with the rows selected by ``keep``, an (N,) mask or indices, in that order."""
         columns = {
             name: None if value is None else value[keep] for name in _COLUMNS for value in (getattr(self, name),)
         }
         return self.replace(**columns)
 
     def seen_from(self, origin_m: ArrayLike) -> Sweep:
-        """Return the sweep with its origin moved to ``origin_m`` (3,), where the sensor stands in the present frame.
+        """Return the sweep with its origin moved to the sensor, which is at ``origin_m`` (3,) in the current frame.
 
-        For points that a file counts from the axle or from the road. The pose moves along, the axes stay.
+        Use it for files whose origin is the axle or the road. The pose is moved too; the axes stay.
 
         >>> Sweep(np.array([[5.0, 0.0, 0.5]])).seen_from((1.0, 0.0, 1.8)).points.round(3).tolist()
         [[4.0, 0.0, -1.2999999523162842]]
@@ -229,9 +229,9 @@ class Sweep:
         )
 
     def copy(self) -> Sweep:
-        """Return the sweep with copies of its arrays, which nobody else can write to.
+        """Return the sweep with copies of its arrays.
 
-        For a driver that fills the same buffer again; what is made of the buffer itself would change with it.
+        Use it if a driver reuses its buffer: a sweep made from the buffer is a view, and changes with it.
 
         >>> buffer = np.ones((1, 3), np.float32)
         >>> kept, view = Sweep(buffer).copy(), Sweep(buffer)
@@ -243,7 +243,7 @@ class Sweep:
         return self.replace(**{name: value.copy() for name, value in columns.items() if value is not None})
 
     def replace(self, **changes: Any) -> Sweep:
-        """Return a copy with the named attributes changed; a name that does not exist is a TypeError."""
+        """Return a copy with the given attributes replaced; an unknown name raises TypeError."""
         return Sweep(**({f.name: getattr(self, f.name) for f in fields(self)} | changes))
 
 
@@ -252,29 +252,29 @@ def _set(sweep: Sweep, name: str, value: object) -> None:
 
 
 def shape_remedy(shape: tuple[int, ...]) -> str:
-    """Return what mends an array of points of a wrong shape, with a semicolon before it; empty where it is not clear.
+    """Return the fix for an array of points of a wrong shape, to append to an error message; empty if unclear.
 
     >>> shape_remedy((3, 50_000)), shape_remedy((64, 1024))[:21], shape_remedy((64, 1024, 3))
     ('; transpose it (points.T)', '; is it a range image', '; reshape it (points.reshape(-1, 3))')
     """
-    if len(shape) == 2 and shape[0] in (3, 4) and shape[1] > _MOST_COLUMNS:
+    if len(shape) == 2 and shape[0] in (3, 4) and shape[1] > _MAX_COLUMNS:
         return "; transpose it (points.T)" if shape[0] == 3 else "; transpose it and take its first three columns"
-    if len(shape) == 2 and shape[1] > _MOST_COLUMNS:
+    if len(shape) == 2 and shape[1] > _MAX_COLUMNS:
         return "; is it a range image? turn its ranges into points x, y, z by the angles of its rows and columns"
     if len(shape) == 2 and shape[1] > 3:
         return "; take its first three columns (points[:, :3])"
-    if len(shape) == 3 and 3 <= shape[2] <= _MOST_COLUMNS:
+    if len(shape) == 3 and 3 <= shape[2] <= _MAX_COLUMNS:
         return f"; reshape it (points.reshape(-1, {shape[2]}))"
     return ""
 
 
 def has_points_in_rows(shape: tuple[int, ...]) -> bool:
-    """Return whether an array of this shape has a point in each row, with no more columns than a point may have.
+    """Return whether an array of this shape has one point per row: (N, 3) to (N, 16).
 
     >>> [has_points_in_rows(shape) for shape in ((9, 3), (9, 5), (3, 900), (64, 1024), (64, 1024, 3), ())]
     [True, True, False, False, False, False]
     """
-    return len(shape) == 2 and 3 <= shape[1] <= _MOST_COLUMNS
+    return len(shape) == 2 and 3 <= shape[1] <= _MAX_COLUMNS
 
 
 def sweep_of_points(
@@ -284,17 +284,17 @@ def sweep_of_points(
     sensor_height_m: float | None = None,
     world_from_sensor: Rigid | None = None,
 ) -> Sweep:
-    """Return the sweep of an array.
+    """Return the sweep of an array of points.
 
     Args:
         points: (N, 3+) in meters, x forward, y left, z up, the sensor at the origin; a fourth column is intensity,
-            others are left out. Or (N,) with fields x, y, z and perhaps intensity and ring.
+            further columns are ignored. Or (N,) with fields x, y, z and optionally intensity and ring.
         sensor: beam table or its name (see :func:`viewshed.lidar_model`); None infers it.
-        sensor_height_m: mounting height above the ground, if it is known.
-        world_from_sensor: pose in the map, if it is known.
+        sensor_height_m: mounting height above the ground, if known.
+        world_from_sensor: pose in the map, if known.
 
     Raises:
-        ValueError: the array is none of these.
+        ValueError: the array has another shape, or lacks a field.
 
     >>> sweep_of_points(np.ones((2, 5)), sensor="vlp16").intensity.tolist()
     [1.0, 1.0]

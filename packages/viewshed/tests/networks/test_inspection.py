@@ -131,7 +131,7 @@ import resource, sys
 from pathlib import Path
 import numpy as np
 from viewshed.networks import runtime
-runtime.MOST_BYTES = 1 << 27
+runtime.MAX_MEMORY_BYTES = 1 << 27
 network = runtime.OnnxRunner.of_content(sys.stdin.buffer.read(), "a.onnx", 1)
 before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 try:

@@ -134,7 +134,7 @@ def test_a_count_of_rings_is_that_of_most_sweeps_and_the_same_from_the_middle_of
 def test_another_sensor_begins_the_count_anew() -> None:
     found = followed([stream_of(20, 1)[0][0], stream_of(14, 1)[0][0], stream_of(20, 1)[0][0]])
     assert [len(one.layout.elevation) for one in found if one.layout is not None] == [20, 14, 20]
-    assert [len(one.layout.shown) for one in found if one.layout is not None] == [1, 1, 1]
+    assert [len(one.layout.ring_counts) for one in found if one.layout is not None] == [1, 1, 1]
     known = identify_sensor(in_order(sweep_of("vlp16")), found[-1])
     assert known.model is lidar_model("vlp16")
     assert known.layout is None

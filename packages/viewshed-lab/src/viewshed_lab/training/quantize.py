@@ -114,7 +114,7 @@ def _rewrite_conv(graph: ChannelsLastGraph, node: onnx.NodeProto, x: str, in_blo
     """Add a 3 × 3 convolution of ``x``, on cells or on blocks of 2 × 2 cells."""
     output, (weight, *biases) = node.output[0], [graph.constants[name] for name in node.input[1:]]
     if x == "blocks":  # of uint8 / 255
-        weight = weight * graph.card.most_shown
+        weight = weight * graph.card.max_input
     if in_blocks:
         weight, biases = weight_in_blocks(weight), [np.tile(bias, 4) for bias in biases]
     constants = [graph.constant(f"{output}_weight", weight), *(graph.constant(f"{output}_bias", b) for b in biases)]

@@ -1,4 +1,4 @@
-"""The estimators by name, classical and learned: ``ESTIMATORS[name](grid, target)``, or :func:`load_estimator`."""
+"""Estimators of the field of view by name: ``ESTIMATORS[name](grid, target)``, or :func:`load_estimator`."""
 
 from __future__ import annotations
 
@@ -32,10 +32,10 @@ from viewshed.sweep import Sweep, sweep_of_points
 
 
 class EstimatorFactory(Protocol):
-    """Makes an estimator on a grid."""
+    """Protocol of a function that returns an estimator on a grid."""
 
     def __call__(self, grid: BevGrid, target: Target = CAR) -> Estimator:
-        """Return the estimator of ``target`` on ``grid``, with sound parameters."""
+        """Return the estimator of ``target`` on ``grid`` with default parameters."""
         ...
 
 
@@ -50,22 +50,22 @@ CLASSICAL: dict[str, EstimatorFactory] = {
     "shadow_map": ShadowMap,
     "majority_vote": MajorityVote,
 }
-"""The classical ones. Rays start at the sensor, bins follow the measured azimuth step, no return means UNKNOWN."""
+"""Classical estimators. Rays start at the sensor, bins follow the measured azimuth step, no return means UNKNOWN."""
 
 ESTIMATORS: dict[str, EstimatorFactory] = {**CLASSICAL, **LEARNED}
-"""All of them. A network is made for the grids and targets that weights are shipped for."""
+"""All estimators. Networks exist only for the grids and targets of the shipped weights."""
 
 DEFAULT_ESTIMATOR = "shadow_map"
-"""The method that is taken where none is named; docs/which_method.md says by which rule."""
+"""Default method; docs/which_method.md gives the rule by which it was chosen."""
 
 FORMER_NAMES = {
     "vote": "majority_vote", "polygon_fit": "delaunay", "mcd": "mc_dropout", "viewnet": DEFAULT_ESTIMATOR,
 }  # fmt: skip
-"""Names of version 0.3, taken as well in version 0.4. ``viewnet`` was a network, which is gone."""
+"""Name in version 0.3 → current name; version 0.4 accepts both. ``viewnet`` was a network that has been removed."""
 
 
 def current_name(method: str) -> str:
-    """Return the name of now of an estimator, with a warning where it is another estimator now.
+    """Return the current name of an estimator; warn if the name now refers to another estimator.
 
     >>> current_name("vote"), current_name("trimmed")
     ('majority_vote', 'trimmed')
@@ -83,8 +83,8 @@ def current_name(method: str) -> str:
 def paper_estimators(max_range_m: float) -> dict[str, EstimatorFactory]:
     """Return the estimators with the settings of arXiv 2503.07375 and its code, for returns up to ``max_range_m``.
 
-    Returns from 3 m below to 3 m above the sensor count, in its level attitude. ``paper_label`` is the published
-    label: rays from the centroid of the points. The threshold there is ``PAPER_THRESHOLD``; these estimates are 0 or 1.
+    They use returns within ±3 m of the sensor's height, after leveling. ``paper_label`` is the published label: rays
+    from the centroid of the points. The paper's threshold is ``PAPER_THRESHOLD``; these estimates are 0 or 1.
     """
     crop = Crop(max_range_m, (-3.0, 3.0))
     label = partial(QuantizedRayTrace, azimuth_bins=100, range_bins=100, max_range_m=max_range_m, about_centroid=True)
@@ -101,21 +101,21 @@ def paper_estimators(max_range_m: float) -> dict[str, EstimatorFactory]:
 
 
 PAPER_THRESHOLD = 0.7
-"""Probability from which the paper calls a cell visible."""
+"""Minimum probability of a visible cell in the paper."""
 
 PAPER_ESTIMATORS: dict[str, EstimatorFactory] = paper_estimators(100.0)
-"""The paper's, for cars on roads."""
+"""The paper's estimators for cars on roads."""
 
 PAPER_INDOOR_ESTIMATORS: dict[str, EstimatorFactory] = paper_estimators(20.0)
-"""The paper's, for its indoor robot."""
+"""The paper's estimators for its indoor robot."""
 
-_ROOM_M = 20.0
-"""Grids that reach no farther than this are a room's."""
+_INDOOR_HALF_EXTENT_M = 20.0
+"""Maximum half extent of an indoor grid."""
 
 
 def paper_estimators_on(grid: BevGrid) -> dict[str, EstimatorFactory]:
-    """Return the paper's estimators for a grid: those of its indoor robot on the grid of a room."""
-    return PAPER_INDOOR_ESTIMATORS if grid.half_extent_m <= _ROOM_M else PAPER_ESTIMATORS
+    """Return the paper's estimators for a grid: the indoor ones for half extents up to 20 m, else those for roads."""
+    return PAPER_INDOOR_ESTIMATORS if grid.half_extent_m <= _INDOOR_HALF_EXTENT_M else PAPER_ESTIMATORS
 
 
 def load_estimator(
@@ -129,27 +129,28 @@ def load_estimator(
     seed: int | None = None,
     abstain_below: float | None = None,
 ) -> Estimator:
-    """Return an estimator, ready to use.
+    """Return an estimator by name.
 
     Args:
-        name: of :data:`ESTIMATORS`, of the paper's estimators or of an installed package's; a network's file; None is
-            :data:`DEFAULT_ESTIMATOR`, or ``unet`` with ``weights``.
-        grid: a name of :data:`GRIDS`, or a grid; None is that of the weights, or ``road``.
-        target: a name of :data:`TARGETS`, or a target; None is that of the weights, or ``car``.
-        device: of a network, ``cpu`` or ``cuda``.
-        weights: of a network: a file, or a name of shipped weights.
-        passes: of ``mc_dropout``, at least 2.
-        seed: of the dropout masks of ``mc_dropout``.
-        abstain_below: of ``shadow_map`` or a network: cells of which it is less sure than this are UNKNOWN, in [.5, 1].
+        name: name in :data:`ESTIMATORS`, in the paper's estimators or of an installed plugin; or the path of a
+            network. None is :data:`DEFAULT_ESTIMATOR`, or ``unet`` if ``weights`` are given.
+        grid: name in :data:`GRIDS`, or a grid; None is the grid of the weights, or ``road``.
+        target: name in :data:`TARGETS`, or a target; None is the target of the weights, or ``car``.
+        device: ``cpu`` or ``cuda``, for a network.
+        weights: path, or name of shipped weights, for a network.
+        passes: number of passes for ``mc_dropout``, at least 2.
+        seed: seed of the dropout masks for ``mc_dropout``.
+        abstain_below: for ``shadow_map`` or a network: in [.5, 1]; cells where neither visible nor not visible has at
+            least this probability are UNKNOWN.
 
     Raises:
-        ValueError: a name is unknown, or an option is given that the estimator does not take; the message says which.
-        ImportError: what runs networks on the device is not installed.
+        ValueError: a name is unknown, or the estimator does not take a given option; the message names it.
+        ImportError: the runtime of networks on the device is not installed.
 
     >>> load_estimator("shadow_map", grid="indoor", target="pedestrian").name
     'shadow_map'
     """
-    cells, thing = None if grid is None else grid_named(grid), None if target is None else target_named(target)
+    bev_grid, target_box = None if grid is None else grid_named(grid), None if target is None else target_named(target)
     if isinstance(name, Path) or (name is not None and str(name).endswith(".onnx")):
         if weights is not None:
             raise ValueError(f"weights must be left out where a file is named, got {name} and {weights}; name one")
@@ -163,11 +164,11 @@ def load_estimator(
         raise ValueError(f"seed must be left out for unet, which draws no masks, got {seed}; use mc_dropout")
     if method in LEARNED:
         estimator: Estimator = load_network(
-            method, cells, thing, weights=weights, passes=passes, seed=seed or 0, device=device
+            method, bev_grid, target_box, weights=weights, passes=passes, seed=seed or 0, device=device
         )
     else:
-        cells, thing = cells or grid_named("road"), thing or target_named("car")
-        known = {**CLASSICAL, **paper_estimators_on(cells)}
+        bev_grid, target_box = bev_grid or grid_named("road"), target_box or target_named("car")
+        known = {**CLASSICAL, **paper_estimators_on(bev_grid)}
         if method not in known:
             added = plugins("estimators")
             if method not in added:
@@ -175,7 +176,7 @@ def load_estimator(
             known[method] = load(added[method], callable, "a class or a function")
         if given:
             raise ValueError(f"{', '.join(given)} must be left out for {method}, which is no network; use unet")
-        estimator = known[method](cells, thing)
+        estimator = known[method](bev_grid, target_box)
     return estimator if abstain_below is None else estimator.with_abstention(abstain_below)
 
 
@@ -193,47 +194,47 @@ def estimate(
 ) -> FovEstimate:
     """Return the field of view of one sweep by :data:`DEFAULT_ESTIMATOR`, or by ``method``.
 
-    The estimator is loaded once and kept; for options of networks take :func:`load_estimator`. What cannot well be as
-    it was read, of points or a file, is a warning.
+    Estimators are cached; use :func:`load_estimator` for the options of networks. Implausible input from points or a
+    file raises warnings (:mod:`viewshed.preprocess.plausibility`).
 
     Args:
         sweep: a Sweep; a file that :func:`viewshed.read_sweep` reads; or points (N, 3+) in meters, x forward, y left,
-            z up, the sensor at the origin; a fourth column is intensity. Or a list of sweeps, one of each LiDAR of
-            one vehicle, with their mountings as ``world_from_sensor`` in one frame (:mod:`viewshed.fov.union`).
+            z up, the sensor at the origin; a fourth column is intensity. Or a list of sweeps, one per LiDAR of one
+            vehicle, with their mountings as ``world_from_sensor`` in one frame (:mod:`viewshed.fov.union`).
         method: as ``name`` of :func:`load_estimator`.
-        grid: a name of :data:`GRIDS`, or a grid.
-        target: a name of :data:`TARGETS`, or a target.
+        grid: name in :data:`GRIDS`, or a grid.
+        target: name in :data:`TARGETS`, or a target.
         history: earlier sweeps of the sensor with poses, for a method that uses them.
-        device: of a network, ``cpu`` or ``cuda``.
-        sensor: of points or a file, beam table or its name (see :func:`viewshed.lidar_model`); None infers it.
-        sensor_height_m: of points or a file, height of the sensor above the ground, if it is known.
-        world_from_sensor: of points or a file, pose of the sensor in the map, if it is known.
+        device: ``cpu`` or ``cuda``, for a network.
+        sensor: for points or a file: beam table or its name (see :func:`viewshed.lidar_model`); None infers it.
+        sensor_height_m: for points or a file: height of the sensor above the ground, if known.
+        world_from_sensor: for points or a file: pose of the sensor in the map, if known.
 
     Raises:
         OSError: the file cannot be opened.
-        ValueError: the points are no sweep or not in meters, a name is unknown, a value is given for a Sweep that has
-            its own, or sweeps of one vehicle have no mountings or are of different times.
+        ValueError: the points are invalid or not in meters, a name is unknown, ``sensor``, ``sensor_height_m`` or
+            ``world_from_sensor`` is given with a Sweep, or sweeps of one vehicle lack mountings or differ in time.
 
     >>> import numpy as np
     >>> estimate(np.zeros((0, 4)), sensor="vlp16", world_from_sensor=Rigid.identity()).method
     'shadow_map'
     """
     estimator = _loaded(method, grid_named(grid), target_named(target), device)
-    stated: dict[str, Any] = {
+    metadata: dict[str, Any] = {
         "sensor": sensor, "sensor_height_m": sensor_height_m, "world_from_sensor": world_from_sensor,
     }  # fmt: skip
-    is_stated = any(value is not None for value in stated.values())
-    listed = sweep if isinstance(sweep, list | tuple) else ()
-    several = [each for each in listed if isinstance(each, Sweep)]
-    if several:
-        if len(several) < len(listed) or history is not None or is_stated:
+    has_metadata = any(value is not None for value in metadata.values())
+    items = sweep if isinstance(sweep, list | tuple) else ()
+    sweeps = [item for item in items if isinstance(item, Sweep)]
+    if sweeps:
+        if len(sweeps) < len(items) or history is not None or has_metadata:
             raise ValueError(
                 "of several LiDARs each must be a Sweep that says its own height and mounting, without history; leave"
                 " out all but method, grid, target and device"
             )
-        return union_of_views([estimator.estimate(each) for each in several])
+        return union_of_views([estimator.estimate(item) for item in sweeps])
     if isinstance(sweep, Sweep | LeveledSweep):
-        if is_stated:
+        if has_metadata:
             raise ValueError(
                 "sensor, sensor_height_m and world_from_sensor go with points, got a Sweep; say them there:"
                 " sweep.replace(model=viewshed.lidar_model(NAME), …)"
@@ -242,9 +243,9 @@ def estimate(
     if isinstance(sweep, str | Path):
         from viewshed.io import read_sweep
 
-        measured = read_sweep(sweep, **stated)
+        measured = read_sweep(sweep, **metadata)
     else:
-        measured = sweep_of_points(cast("ArrayLike", sweep), **stated)
+        measured = sweep_of_points(cast("ArrayLike", sweep), **metadata)
     check_units(measured)
     leveled = level(measured, estimator.grid)
     for doubt in doubts(leveled):

@@ -1,4 +1,4 @@
-"""What every estimator promises, whether classical or a network."""
+"""Protocol of all estimators, classical and networks."""
 
 from __future__ import annotations
 
@@ -13,61 +13,61 @@ from viewshed.preprocess.leveling import LeveledSweep
 from viewshed.sweep import Sweep
 
 EarlierSweeps = History | Sequence[Sweep | LeveledSweep] | None
-"""Earlier sweeps of the same sensor, the oldest first, all with poses; or the :class:`History` made of them."""
+"""Earlier sweeps of the same sensor with poses, oldest first; or a :class:`History` made from them."""
 
 
 class Estimator(FovEstimator, Protocol):
-    """An estimator of the table: what it needs, what it can do, and its one call.
+    """Protocol of the estimators in ``ESTIMATORS``.
 
-    These attributes say what an estimator can do: nothing else looks at its class or its name.
+    Callers use only these members to find out what an estimator can do, never its class or name.
     """
 
     @property
     def name(self) -> str:
-        """Its name in the table; goes into :attr:`FovEstimate.method`."""
+        """Name in ``ESTIMATORS``; becomes :attr:`FovEstimate.method`."""
         ...
 
     @property
     def target(self) -> Target:
-        """What would have to be seen."""
+        """The target whose visibility is estimated."""
         ...
 
     @property
     def threshold(self) -> float:
-        """Probability from which its estimates call a cell visible."""
+        """Minimum probability of a visible cell."""
         ...
 
     @property
     def uses_history(self) -> bool:
-        """Whether earlier sweeps change its estimates."""
+        """Whether the estimator uses earlier sweeps."""
         ...
 
     def estimate(self, sweep: Sweep | LeveledSweep, history: EarlierSweeps = None) -> FovEstimate:
         """Return the field of view of one sweep; ``sweep`` is not modified.
 
         Args:
-            sweep: what the sensor measured; leveled already (on this grid), it is not leveled again.
+            sweep: the sweep; a sweep leveled on this grid is not leveled again.
             history: earlier sweeps, for an estimator that uses them.
 
         Raises:
             TypeError: ``sweep`` is neither a Sweep nor a LeveledSweep.
-            ValueError: the estimator uses no history and there is some, or a pose is missing.
+            ValueError: ``history`` is given but the estimator does not use it, or a pose is missing.
         """
         ...
 
     def with_abstention(self, below: float) -> Self:
-        """Return the same estimator that leaves cells UNKNOWN of which it is less sure than ``below``, in [.5, 1].
+        """Return a copy that marks cells UNKNOWN if neither answer has at least the probability ``below``, in [.5, 1].
 
         Raises:
-            ValueError: its probabilities say nothing of how sure it is, so that it cannot abstain.
+            ValueError: the estimator gives masks of 0 and 1, not probabilities.
         """
         ...
 
     def batch_steps(self) -> BatchSteps:
-        """Return how many sweeps are estimated at once.
+        """Return the steps that :func:`viewshed.estimators.batch.estimate_all` runs in threads and in batches.
 
         Raises:
-            ValueError: sweeps must be taken one after the other.
+            ValueError: the estimator keeps state, so sweeps must be estimated in sequence.
         """
         ...
 
@@ -82,6 +82,6 @@ class Estimator(FovEstimator, Protocol):
 class BatchSteps:
     """The steps of an estimate: ``prepare`` and ``finish`` run in many threads, ``infer`` once for a batch."""
 
-    prepare: Callable[[Sweep], Any]  # from a sweep to what ``infer`` takes
-    infer: Callable[[list[Any]], list[Any]]  # from a list of those to a list of results
-    finish: Callable[[Any, Any], FovEstimate]  # from what was prepared and its result to the estimate
+    prepare: Callable[[Sweep], Any]  # sweep → one input of ``infer``
+    infer: Callable[[list[Any]], list[Any]]  # list of inputs → list of outputs
+    finish: Callable[[Any, Any], FovEstimate]  # input and output of one sweep → estimate

@@ -1,4 +1,4 @@
-"""Many sweeps at once: on a processor one a core, on a graphics card the network once for a batch."""
+"""Parallel estimates of many sweeps: one per CPU core, or the network once per batch on a GPU."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from viewshed.fov.estimate import FovEstimate
 from viewshed.sweep import Sweep
 
 BATCH = 16
-"""Sweeps that are taken at once where no number is given."""
+"""Default batch size in sweeps."""
 
-MOST = 1024
-"""Largest batch."""
+MAX_BATCH = 1024
+"""Maximum batch size in sweeps."""
 
 T = TypeVar("T")
 
 R = TypeVar("R")
 
 OnError = Callable[[Exception], None]
-"""Called with the error of a sweep that has no estimate, when the estimate would have come."""
+"""Callback that receives the error of a sweep, in place of its estimate."""
 
 
 def estimate_all(
@@ -36,40 +36,40 @@ def estimate_all(
     threads: int | None = None,
     on_error: OnError | None = None,
 ) -> Iterator[FovEstimate]:
-    """Return the estimates of many sweeps in their order, each as ``estimator.estimate(sweep)`` makes it.
+    """Yield the estimates of many sweeps in order, equal to ``estimator.estimate(sweep)`` of each.
 
-    Sweeps are taken as they are needed, at most ``2 · batch`` ahead of the estimate that comes next, so that they may
-    be more than fit into memory. On a processor each thread does whole sweeps, with a network that runs in it alone:
-    batches are slower there, as the activations of many sweeps do not stay in the cache. On a graphics card features
-    are computed in threads, those of the next batch while the network is run for this one.
+    Sweeps are read lazily, at most ``2 · batch`` ahead of the next estimate, so they need not fit into memory. On a CPU
+    each thread computes whole estimates with a single-threaded network: batches would be slower, because the
+    activations of many sweeps do not fit into the cache. On a GPU the threads compute the features of the next batch
+    while the network runs on the current one.
 
     Args:
-        estimator: any that takes each sweep by itself.
-        sweeps: what the sensors measured; iterated once, in this thread.
-        batch: sweeps that are taken at once, and that a graphics card runs the network for at once, in [1, 1024].
-        threads: threads beside this one; None is one for each core.
-        on_error: called with the error of a sweep, which is then skipped; without it the error is raised. Both
-            happen where the estimate would have come. After an error of ``sweeps`` itself there is none.
+        estimator: an estimator that keeps no state between sweeps.
+        sweeps: the sweeps; iterated once, in this thread.
+        batch: number of sweeps per batch, in [1, 1024]; a GPU runs the network once per batch.
+        threads: number of worker threads; None is one per core.
+        on_error: called with the error of a sweep, in place of its estimate; the sweep is then skipped. None raises
+            the error. An error of the iterable ``sweeps`` itself ends the estimates.
 
     Raises:
-        ValueError: ``batch`` or ``threads`` lies outside its range, or the estimator remembers earlier sweeps.
+        ValueError: ``batch`` or ``threads`` is out of range, or the estimator keeps earlier sweeps.
     """
-    if not 1 <= batch <= MOST:
-        raise ValueError(f"batch must lie in [1, {MOST}], got {batch}")
+    if not 1 <= batch <= MAX_BATCH:
+        raise ValueError(f"batch must lie in [1, {MAX_BATCH}], got {batch}")
     if threads is not None and threads < 1:
         raise ValueError(f"threads must be at least 1, got {threads}")
-    return _estimates(estimator.batch_steps(), sweeps, batch, threads or cores(), on_error or _raised)
+    return _estimates(estimator.batch_steps(), sweeps, batch, threads or cores(), on_error or _raise)
 
 
 def cores() -> int:
-    """Return how many cores this process may use."""
+    """Return the number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if sys.platform == "linux" else os.cpu_count() or 1
 
 
 def in_order(work: Callable[[T], R], items: Iterable[T], ahead: int, threads: int) -> Generator[Future[R], None, None]:
-    """Yield for each item, in their order, what is done with it in threads, at most ``ahead`` items ahead.
+    """Yield the futures of ``work(item)`` in the order of ``items``, submitting at most ``ahead`` items ahead.
 
-    An error of ``items`` itself is that of the last one.
+    If iterating ``items`` raises, the last future has that error.
     """
     waiting: deque[Future[R]] = deque()
     pool = ThreadPoolExecutor(threads, thread_name_prefix="viewshed")
@@ -88,7 +88,7 @@ def _estimates(
     steps: BatchSteps, sweeps: Iterable[Sweep], batch: int, threads: int, on_error: OnError
 ) -> Iterator[FovEstimate]:
     with closing(in_order(steps.prepare, sweeps, batch, threads)) as prepared:
-        # An error takes the place of what it prevented, so that it is reported in its turn.
+        # An error takes the place of its sweep's result, so errors are reported in order.
         while chunk := [_result_or_error(future.result) for future in islice(prepared, batch)]:
             results = iter(steps.infer([item for item in chunk if not isinstance(item, Exception)]))
             for item in chunk:
@@ -111,12 +111,12 @@ def _submitted(pool: ThreadPoolExecutor, work: Callable[[T], R], items: Iterable
 
 
 def _result_or_error(work: Callable[..., Any], *arguments: Any) -> Any:
-    """Return the result of ``work``, or the error that it raises."""
+    """Return the result of ``work``, or the exception that it raises."""
     try:
         return work(*arguments)
     except Exception as error:
         return error
 
 
-def _raised(error: Exception) -> None:
+def _raise(error: Exception) -> None:
     raise error

@@ -1,4 +1,4 @@
-"""The body that classical estimators share, and the check of earlier sweeps that every estimator makes."""
+"""Base class of the classical estimators; checks of abstention and history for all estimators."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ from viewshed.preprocess.leveling import LeveledSweep, leveled_on
 from viewshed.sweep import Sweep
 
 NEVER_ABSTAIN = 0.5
-"""Every cell is at least this sure to be visible, or not to be."""
+"""``abstain_below`` that never abstains: one of visible and not visible always has at least this probability."""
 
 
 class ClassicalEstimator:
-    """The body that classical estimators share: they level the sweep once and say how they see a leveled one.
+    """Base class of the classical estimators: levels the sweep, calls ``visible_prob``, derives the states.
 
     A subclass is a frozen dataclass with the fields ``grid``, ``target`` and ``name`` and the method
-    ``visible_prob(leveled, history)``. The states are those that the beams support, whatever it claims. One whose
-    probabilities say how sure it is has the field ``abstain_below`` as well, by default :data:`NEVER_ABSTAIN`.
+    ``visible_prob(leveled, history)``. A claim without support by the beams does not become a visible state. An
+    estimator that can abstain also has the field ``abstain_below``, by default :data:`NEVER_ABSTAIN`.
     """
 
     __slots__ = ()
@@ -40,12 +40,12 @@ class ClassicalEstimator:
 
     @property
     def threshold(self) -> float:
-        """Probability from which a cell counts as visible: one half, or ``abstain_below`` if that is higher."""
+        """Minimum probability of a visible cell: one half, or ``abstain_below`` if that is higher."""
         return max(THRESHOLD, self.abstain_below or 0.0)
 
     @property
     def uses_history(self) -> bool:
-        """Whether earlier sweeps change the estimates."""
+        """Whether the estimator uses earlier sweeps."""
         return False
 
     def estimate(self, sweep: Sweep | LeveledSweep, history: EarlierSweeps = None) -> FovEstimate:
@@ -54,8 +54,8 @@ class ClassicalEstimator:
         earlier = checked_history(self, leveled, history)
         leveled = leveled if earlier is None else earlier.now
         prob = self.visible_prob(leveled, earlier)
-        claimed, sure = prob >= np.float32(self.threshold), self.abstain_below or NEVER_ABSTAIN
-        denied = prob <= np.float32(1.0 - sure) if sure > NEVER_ABSTAIN else ~claimed
+        claimed, min_sure = prob >= np.float32(self.threshold), self.abstain_below or NEVER_ABSTAIN
+        denied = prob <= np.float32(1.0 - min_sure) if min_sure > NEVER_ABSTAIN else ~claimed
         evidence = beam_evidence(leveled, self.grid, self.target, earlier)
         state = evidence.states(claimed, denied, leveled.obstacle_cells(self.grid))
         return FovEstimate(
@@ -72,11 +72,11 @@ class ClassicalEstimator:
         )
 
     def visible_prob(self, leveled: LeveledSweep, history: History | None) -> NDArray[np.float32]:
-        """Return the probability (cells, cells) that this estimator gives each cell; 0 or 1 if it makes a mask."""
+        """Return the probability (cells, cells) float32 that each cell is visible; 0 or 1 for a mask."""
         raise NotImplementedError
 
     def with_abstention(self, below: float) -> Self:
-        """Return the same estimator that leaves cells UNKNOWN of which it is less sure; a mask of 0 and 1 refuses."""
+        """Return a copy that abstains; see :meth:`Estimator.with_abstention`."""
         if self.abstain_below is None:
             raise ValueError(
                 f"abstention must be asked of an estimator that says how sure it is, got {below:g} for {self.name},"
@@ -86,7 +86,7 @@ class ClassicalEstimator:
         return changed
 
     def batch_steps(self) -> BatchSteps:
-        """Return whole estimates as the step that many threads take."""
+        """Return steps that compute the whole estimate in ``prepare``, in many threads."""
         return BatchSteps(self.estimate, lambda estimates: estimates, lambda estimate, _: estimate)
 
     def stream(
@@ -97,17 +97,17 @@ class ClassicalEstimator:
 
 
 def checked_abstention(below: float) -> float:
-    """Return a probability below which an estimator abstains, or raise a ValueError unless it lies in [.5, 1]."""
+    """Return ``abstain_below`` if it lies in [.5, 1]; else raise ValueError."""
     if not NEVER_ABSTAIN <= below <= 1.0:
         raise ValueError(f"abstain_below must lie in [0.5, 1], got {below}")
     return below
 
 
 def checked_history(estimator: Estimator, leveled: LeveledSweep, history: EarlierSweeps) -> History | None:
-    """Return earlier sweeps as the sensor sees them now, or None for none.
+    """Return the earlier sweeps as a :class:`History` of ``leveled``, or None if there are none.
 
     Raises:
-        ValueError: the estimator uses none, a sweep has no pose, or it is the history of another sweep.
+        ValueError: the estimator uses no history, a sweep has no pose, or the history belongs to another sweep.
     """
     if history is None or (not isinstance(history, History) and not len(history)):
         return None

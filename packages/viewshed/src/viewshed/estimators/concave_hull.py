@@ -20,13 +20,13 @@ from viewshed.preprocess.leveling import LeveledSweep
 class ConcaveHull(ClassicalEstimator):
     """Visible inside the concave hull of the returns. Source: arXiv 2503.07375; Park and Oh 2012 (concaveman).
 
-    The returns are thinned out to the farthest one in each cell of a lattice as fine as the grid (coarser if they
-    spread over more than 1024 cells). A cell is visible if its center lies inside the hull, by the even-odd rule.
-    Fewer than three cells with returns, or all on one line, give an empty estimate. Outside is UNKNOWN.
+    Only the farthest return in each cell of a lattice is used; the lattice has the grid's resolution (coarser if the
+    returns spread over more than 1024 cells). A cell is visible if its center lies inside the hull, by the even-odd
+    rule. Outside is UNKNOWN. Fewer than three cells with returns, or all on one line, give an empty estimate.
 
-    Limits: the hull does not know where the sensor is; ``length_threshold_m`` keeps it from entering gaps narrower
-    than that, so shadows of cars are called visible; one far point pulls a spike of hull behind it; the result may
-    change by slivers if the points are turned.
+    Limits: the hull ignores the sensor's position; it does not enter gaps narrower than ``length_threshold_m``, so
+    shadows of cars are called visible; one far point adds a spike to the hull; a rotation of the points may change the
+    result by slivers.
 
     >>> import numpy as np
     >>> import viewshed
@@ -36,12 +36,12 @@ class ConcaveHull(ClassicalEstimator):
     [1.0, 0.0]
     """
 
-    grid: BevGrid  # where the cells are
-    target: Target = CAR  # passed on; this estimator does not depend on it
+    grid: BevGrid  # grid of the estimate
+    target: Target = CAR  # copied to the estimate; does not change the result
     concavity: float = 1.0  # 1 follows the points closely, larger values approach the convex hull
-    length_threshold_m: float = 4.0  # edges shorter than this are not bent inward
-    crop: Crop = ALL_RETURNS  # which returns count at all
-    name: str = "concave_hull"  # goes into the estimate's ``method``
+    length_threshold_m: float = 4.0  # shorter edges are not bent inward
+    crop: Crop = ALL_RETURNS  # filter of the returns
+    name: str = "concave_hull"  # becomes the estimate's ``method``
 
     def __post_init__(self) -> None:
         require("concavity", self.concavity, 0.1, 1e6)
@@ -57,9 +57,9 @@ class ConcaveHull(ClassicalEstimator):
 
 
 def thinned(leveled: LeveledSweep, grid: BevGrid) -> tuple[NDArray[np.float64], bool]:
-    """Return the points (K, 2) in meters: the farthest return of each cell, whatever the order of the returns.
+    """Return the farthest return of each cell, (K, 2) meters, and whether these points span an area.
 
-    And whether they are three or more that do not lie on one line.
+    The result does not depend on the order of the returns.
     """
     return _core.thin_returns(leveled.points, leveled.range_m, *grid.origin_m, grid.cell_m)
 
@@ -67,7 +67,7 @@ def thinned(leveled: LeveledSweep, grid: BevGrid) -> tuple[NDArray[np.float64], 
 def fill(edges: NDArray[np.float64], grid: BevGrid) -> NDArray[np.bool_]:
     """Return the mask (cells, cells) of cell centers inside closed rings of edges (E, 4), by the even-odd rule.
 
-    An edge that occurs twice, in either direction, cancels out: adjacent triangles make their union.
+    An edge that occurs twice, in either direction, cancels out: adjacent triangles become their union.
 
     >>> square = np.array([[0.0, 0, 2, 0], [2, 0, 2, 1], [2, 1, 0, 1], [0, 1, 0, 0]])
     >>> fill(square, BevGrid(4, 2.0)).astype(int).tolist()

@@ -1,4 +1,4 @@
-"""Polygons fitted by Delaunay triangulation, without the long triangles."""
+"""Delaunay triangulation of the returns in bird's-eye view, without triangles that have long edges."""
 
 from __future__ import annotations
 
@@ -21,13 +21,12 @@ from viewshed.preprocess.leveling import LeveledSweep
 class Delaunay(ClassicalEstimator):
     """Visible inside the triangles of the returns' Delaunay triangulation that have no edge above ``max_edge_m``.
 
-    Source: Castagno and Atkins 2020 (PolyLidar), named in arXiv 2503.07375; there the edge filter is called ``lmax``.
-    Returns are thinned out as for the concave hull. A cell is visible if its center lies inside a triangle that is
-    kept. Degenerate returns give an empty estimate. Outside is UNKNOWN.
+    Source: Castagno and Atkins 2020 (PolyLidar, edge filter ``lmax``), cited in arXiv 2503.07375. Returns are thinned
+    as for the concave hull. A cell is visible if its center lies inside such a triangle; outside is UNKNOWN.
+    Fewer than three points, or all on one line, give an empty estimate.
 
-    Limits: unsuitable for LiDAR in bird's-eye view, as the paper says: rings on flat ground lie farther apart than
-    ``max_edge_m`` from some 20 m on, so the polygon breaks into islands there, while a larger value fills shadows
-    that are narrower than it.
+    Limits: unsuitable for LiDAR in bird's-eye view, as the paper says: beyond about 20 m rings on flat ground are
+    farther apart than ``max_edge_m``, so the polygon breaks into islands; a larger value fills the narrower shadows.
 
     >>> import viewshed
     >>> corners = np.array([[3.0, -2.0, -1.7], [3.0, 2.0, -1.7], [6.0, 0.0, -1.7], [-9.0, 0.0, -1.7]])
@@ -36,11 +35,11 @@ class Delaunay(ClassicalEstimator):
     [1.0, 0.0]
     """
 
-    grid: BevGrid  # where the cells are
-    target: Target = CAR  # passed on; this estimator does not depend on it
-    max_edge_m: float = 4.0  # longest edge of a triangle that is kept
-    crop: Crop = ALL_RETURNS  # which returns count at all
-    name: str = "delaunay"  # goes into the estimate's ``method``
+    grid: BevGrid  # grid of the estimate
+    target: Target = CAR  # copied to the estimate; does not change the result
+    max_edge_m: float = 4.0  # maximum edge length of a triangle
+    crop: Crop = ALL_RETURNS  # filter of the returns
+    name: str = "delaunay"  # becomes the estimate's ``method``
 
     def __post_init__(self) -> None:
         require("max_edge_m", self.max_edge_m, 0.01, 1e6)
@@ -53,12 +52,12 @@ class Delaunay(ClassicalEstimator):
         return visible.astype(np.float32)
 
     def _edges(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the edges (E, 4) of all triangles kept, three a triangle, as x0, y0, x1, y1 in meters."""
+        """Return the edges (E, 4) of the kept triangles, three per triangle, as x0, y0, x1, y1 in meters."""
         try:
             triangles = shapely.get_parts(shapely.delaunay_triangles(shapely.MultiPoint(points)))
         except shapely.GEOSException:  # all but on one line
             return np.zeros((0, 4))
-        # A triangle's ring is closed: its last corner is the first again.
+        # Each triangle is a closed ring of four points; drop the last, which repeats the first.
         corners = shapely.get_coordinates(triangles).reshape(-1, 4, 2)[:, :3]
         sides = np.concatenate([corners, np.roll(corners, -1, axis=1)], axis=2)
         length_m = np.hypot(sides[..., 2] - sides[..., 0], sides[..., 3] - sides[..., 1])

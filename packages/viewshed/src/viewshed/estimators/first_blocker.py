@@ -1,4 +1,4 @@
-"""Visible before the nearest obstacle return: the safe envelope."""
+"""Visible up to the nearest obstacle return of each azimuth bin: a conservative estimate."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ from viewshed.preprocess.reach import reach_of_sweep
 
 @dataclass(frozen=True, slots=True)
 class FirstBlocker(ClassicalEstimator):
-    """Visible before the ``rank``-th nearest obstacle return of the azimuth bin.
+    """Visible up to the ``rank``-th nearest obstacle return of the azimuth bin.
 
     Source: the occlusion test of Hu et al. (CVPR 2020, "What You See is What You Get") and of AdvCollaborative-
-    Perception (USENIX Security 2024), per azimuth instead of per voxel. A cell's center may lie one cell beyond the
-    limit. A bin without a return has no visible cell; one with returns but no blocker is visible up to the sensor's
-    reach, or with ``limit_farthest`` up to its farthest return.
+    Perception (USENIX Security 2024), per azimuth instead of per voxel. A cell's center may be up to one cell beyond
+    the limit. A bin without returns has no visible cell. A bin with returns but no obstacle is visible up to the
+    sensor's reach, or with ``limit_farthest`` up to its farthest return.
 
-    Limits: under-claims; a bush, a curb or a parked car lower than the target hides everything behind it, and so does
-    a wall grazed by a wide bin or one spoofed near point (``rank`` and ``median_bins`` withstand a few of those).
-    Returns above ``obstacle_height_m[1]`` (canopies, bridges) do not block. Without ``limit_farthest`` a removed
-    return opens its bin.
+    Limits: claims too little: a bush, a curb or a parked car lower than the target hides everything behind it, and so
+    do a wall that a wide bin grazes and one spoofed near point (``rank`` and ``median_bins`` tolerate a few points).
+    Returns above ``obstacle_height_m[1]`` (canopies, bridges) do not block. Without ``limit_farthest``, removing the
+    blocking return makes its bin visible up to the reach.
 
     >>> import numpy as np
     >>> from viewshed import Sweep
@@ -38,15 +38,15 @@ class FirstBlocker(ClassicalEstimator):
     [1.0, 0.0]
     """
 
-    grid: BevGrid  # where the cells are
-    target: Target = CAR  # passed on; this estimator does not depend on it
-    rank: int = 1  # which obstacle return blocks, 1 the nearest
-    median_bins: int = 0  # number of azimuth bins (odd) over which the median of the limits is taken, or 0 for none
-    limit_farthest: bool = True  # visible no farther than the farthest return of the bin
-    # heights above local ground between which a return is an obstacle
+    grid: BevGrid  # grid of the estimate
+    target: Target = CAR  # copied to the estimate; does not change the result
+    rank: int = 1  # rank of the blocking obstacle return, 1 is the nearest
+    median_bins: int = 0  # width in azimuth bins (odd) of the median filter of the limits, 0 for no filter
+    limit_farthest: bool = True  # whether the farthest return of the bin limits the view
+    # (low, high) height range above local ground of an obstacle return
     obstacle_height_m: tuple[float, float] = OBSTACLE_HEIGHTS_M
-    azimuth_bins: int | None = None  # number of bins; None takes them from the measured azimuth step
-    name: str = "first_blocker"  # goes into the estimate's ``method``
+    azimuth_bins: int | None = None  # number of bins; None derives it from the measured azimuth step
+    name: str = "first_blocker"  # becomes the estimate's ``method``
 
     def __post_init__(self) -> None:
         require("rank", self.rank, 1, 1000)
@@ -58,7 +58,7 @@ class FirstBlocker(ClassicalEstimator):
             raise ValueError(f"obstacle_height_m must be (low, high) with low < high, got {self.obstacle_height_m}")
 
     def visible_prob(self, leveled: LeveledSweep, history: History | None) -> NDArray[np.float32]:
-        """Return 1 before the first obstacle of each azimuth bin, 0 behind it."""
+        """Return 1 up to the blocking obstacle of each azimuth bin, 0 behind it."""
         limit_m = _core.first_blocker(
             leveled.azimuth, leveled.range_m, leveled.height_m, *self.obstacle_height_m, self.azimuth_bins, self.rank,
             self.median_bins, None if self.limit_farthest else reach_of_sweep(leveled), self.grid.cell_m,

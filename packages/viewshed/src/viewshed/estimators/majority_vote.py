@@ -1,4 +1,4 @@
-"""The vote of five classical masks: the strong baseline that stands in every table."""
+"""Majority vote of five classical masks: the strong baseline of every results table."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from viewshed.preprocess.history import History
 from viewshed.preprocess.leveling import LeveledSweep
 
 VOTE_RULES: tuple[NoReturn, ...] = ("unknown", "max_range", "fill")
-"""What a missing return means to the three shadow maps that vote."""
+"""The ``no_return`` rules of the three shadow maps that vote."""
 
 
 @dataclass(frozen=True, slots=True)
 class MajorityVote(ClassicalEstimator):
     """Visible where at least three of five masks agree.
 
-    The five: the shadow map with a missing return as unknown, as maximum range and filled from its neighbors; the
-    first blocker with and without the farthest return as a limit. The probability is the share of votes, so that
-    0.6 (three votes) is the first value above the threshold; ``std`` stays NaN, votes are not a posterior.
+    The five: the shadow map with the ``no_return`` rules unknown, max_range and fill; the first blocker with and
+    without ``limit_farthest``. The probability is the share of votes: 0.6 (three votes) is the lowest value above the
+    threshold. ``std`` is NaN, because votes are not a posterior.
 
-    Limits: three of the five trust measured depths, so a far wall of spoofed returns still opens a corridor.
+    Limits: three of the five trust measured depths, so a far wall of spoofed returns still opens a false corridor.
     """
 
     grid: BevGrid

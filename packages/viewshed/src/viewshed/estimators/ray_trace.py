@@ -1,7 +1,4 @@
-"""Ray traces to the farthest return: per azimuth bin (quantized) or per window of azimuth (continuous).
-
-Ray trace to the farthest return once the few farthest are dropped.
-"""
+"""Ray traces to the farthest return: per azimuth bin (quantized, trimmed) or per azimuth window (continuous)."""
 
 from __future__ import annotations
 
@@ -32,19 +29,19 @@ from viewshed.preprocess.history import History
 from viewshed.preprocess.leveling import LeveledSweep
 
 _SLICES = 8
-"""Fine bins in a window's half width; only cells in doubt look at single returns."""
+"""Fine azimuth bins per half width of a window; only cells that the fine bins leave open test single returns."""
 
 
 @dataclass(frozen=True, slots=True)
 class QuantizedRayTrace(ClassicalEstimator):
     """Visible up to the farthest return of the azimuth bin. Source: arXiv 2503.07375, section on classical estimators.
 
-    A cell belongs to the bin of its center's azimuth from the sensor and is visible if its center's range is at most
-    the bin's farthest return plus one cell. With ``range_bins`` ranges are compared as bin numbers instead. A bin
-    without a return has no visible cell.
+    A cell belongs to the azimuth bin of its center and is visible if its center's range is at most the bin's farthest
+    return plus one cell. With ``range_bins``, indices of range bins are compared instead. A bin without returns has no
+    visible cell.
 
-    Limits: holes behind low cars and poles are called visible (later returns of the bin pass over them); one spoofed
-    far point opens a whole bin; with ``about_centroid`` (the paper's labels) rays start where no sensor stands.
+    Limits: shadows of low cars and poles are called visible (other returns of the bin pass over them); one spoofed far
+    point opens a whole bin; with ``about_centroid`` (the paper's labels) rays do not start at the sensor.
 
     >>> import numpy as np
     >>> from viewshed import Sweep
@@ -53,14 +50,14 @@ class QuantizedRayTrace(ClassicalEstimator):
     [1.0, 0.0]
     """
 
-    grid: BevGrid  # where the cells are
-    target: Target = CAR  # passed on; this estimator does not depend on it
-    azimuth_bins: int | None = None  # number of bins; None takes them from the measured azimuth step
-    range_bins: int | None = None  # number of range bins up to ``max_range_m``; None compares ranges themselves
-    max_range_m: float = np.inf  # farther returns count as returns at this range
-    crop: Crop = ALL_RETURNS  # which returns count at all
+    grid: BevGrid  # grid of the estimate
+    target: Target = CAR  # copied to the estimate; does not change the result
+    azimuth_bins: int | None = None  # number of bins; None derives it from the measured azimuth step
+    range_bins: int | None = None  # number of range bins up to ``max_range_m``; None compares ranges in meters
+    max_range_m: float = np.inf  # ranges of returns are clipped to this
+    crop: Crop = ALL_RETURNS  # filter of the returns
     about_centroid: bool = False  # rays start at the centroid of the points, not at the sensor
-    name: str = "quantized"  # goes into the estimate's ``method``
+    name: str = "quantized"  # becomes the estimate's ``method``
 
     def __post_init__(self) -> None:
         require_bins(self.azimuth_bins)
@@ -92,7 +89,7 @@ class QuantizedRayTrace(ClassicalEstimator):
         return (cell_range_m.astype(np.float32) <= limit_m).astype(np.float32)
 
     def _limit(self, farthest_m: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return the range (bins,) up to which a cell's center is visible."""
+        """Return the maximum range (bins,) of a visible cell center in meters."""
         farthest_m = np.minimum(farthest_m, np.float32(self.max_range_m))
         if self.range_bins is None:
             return with_margin(farthest_m, self.grid.cell_m)
@@ -106,10 +103,10 @@ class QuantizedRayTrace(ClassicalEstimator):
 class ContinuousRayTrace(ClassicalEstimator):
     """Visible up to the farthest return within ± ``window`` of the cell's azimuth. Source: arXiv 2503.07375.
 
-    A cell is visible if its center's range is at most the farthest return whose azimuth differs from the center's by
-    at most ``window`` (plus ``margin_m``). Without a return in the window it is not visible.
+    A cell is visible if its center's range is at most that of the farthest return in the window, plus ``margin_m``.
+    Without a return in the window it is not visible.
 
-    Limits: as the quantized ray trace, and smeared by the window: each far return opens 2 · ``window`` of azimuth.
+    Limits: those of the quantized ray trace; also, each far return opens 2 · ``window`` of azimuth.
 
     >>> ContinuousRayTrace(BevGrid(8, 4.0), window=4.0)
     Traceback (most recent call last):
@@ -117,12 +114,12 @@ class ContinuousRayTrace(ClassicalEstimator):
     ValueError: window must lie in [0.004, 1.5], got 4.0
     """
 
-    grid: BevGrid  # where the cells are
-    target: Target = CAR  # passed on; this estimator does not depend on it
+    grid: BevGrid  # grid of the estimate
+    target: Target = CAR  # copied to the estimate; does not change the result
     window: float = 0.01  # half width in radians (the paper's is 0.05)
-    margin_m: float | None = None  # how far beyond the return a cell's center may lie; None is one cell
-    crop: Crop = ALL_RETURNS  # which returns count at all
-    name: str = "continuous"  # goes into the estimate's ``method``
+    margin_m: float | None = None  # distance beyond the return that is still visible; None is one cell
+    crop: Crop = ALL_RETURNS  # filter of the returns
+    name: str = "continuous"  # becomes the estimate's ``method``
 
     def __post_init__(self) -> None:
         require("window", self.window, 0.004, 1.5)
@@ -142,32 +139,31 @@ class ContinuousRayTrace(ClassicalEstimator):
 
 @dataclass(frozen=True, slots=True)
 class TrimmedRayTrace(ClassicalEstimator):
-    """Visible up to the farthest return of the azimuth bin but ``trim``. Source: the trimmed maximum of statistics.
+    """Visible up to the farthest return of the azimuth bin after dropping the ``trim`` farthest (trimmed maximum).
 
-    As :class:`~viewshed.estimators.ray_trace.QuantizedRayTrace`, but the ``trim`` farthest returns of each bin are
-    dropped first. A bin with no more than ``trim`` returns has no visible cell.
+    Otherwise as :class:`~viewshed.estimators.ray_trace.QuantizedRayTrace`. A bin with ``trim`` or fewer returns has no
+    visible cell.
 
-    Limits: more than ``trim`` spoofed points in a bin open it as before; sensors with few beams lose their outer
-    rings (16 beams leave 12); holes behind low cars are called visible, as by every farthest-return method.
+    Limits: more than ``trim`` spoofed points in a bin still open it; sensors with few beams lose their outer rings (12
+    of 16 beams remain); shadows of low cars are called visible, as by every farthest-return method.
 
     >>> TrimmedRayTrace(BevGrid(8, 4.0), trim=4).name
     'trimmed'
     """
 
-    grid: BevGrid  # where the cells are
-    target: Target = CAR  # passed on; this estimator does not depend on it
-    trim: int = 4  # farthest returns to drop in each bin
-    # number of bins; None takes them from the measured azimuth step, but at most 360, so that a bin holds enough
-    # returns to drop some
+    grid: BevGrid  # grid of the estimate
+    target: Target = CAR  # copied to the estimate; does not change the result
+    trim: int = 4  # number of farthest returns dropped in each bin
+    # number of bins; None derives it from the measured azimuth step, at most 360 to have enough returns per bin
     azimuth_bins: int | None = None
-    name: str = "trimmed"  # goes into the estimate's ``method``
+    name: str = "trimmed"  # becomes the estimate's ``method``
 
     def __post_init__(self) -> None:
         require("trim", self.trim, 0, 1000)
         require_bins(self.azimuth_bins)
 
     def visible_prob(self, leveled: LeveledSweep, history: History | None) -> NDArray[np.float32]:
-        """Return 1 up to the farthest return of each azimuth bin but the few farthest, 0 beyond."""
+        """Return 1 up to the farthest remaining return of each azimuth bin, 0 beyond."""
         bins = self.azimuth_bins or min(measured_azimuth_bins(leveled.azimuth), FALLBACK_BINS)
         limit_m = farthest_in_bins(leveled, bins, drop=self.trim)
         return within_limits(self.grid, with_margin(limit_m, self.grid.cell_m))

@@ -1,4 +1,4 @@
-"""Shadow map: the definition of visible, evaluated on the beams that a sweep measured."""
+"""Shadow map: the definition of visible, evaluated on the measured beams of a sweep."""
 
 from __future__ import annotations
 
@@ -19,34 +19,34 @@ from viewshed.preprocess.no_return import no_return_beams
 NoReturn = Literal["inferred", "unknown", "max_range", "fill"]
 
 NO_RETURN_RULES: tuple[NoReturn, ...] = ("inferred", "unknown", "max_range", "fill")
-"""The default first."""
+"""All rules, the default first."""
 
 
 @dataclass(frozen=True, slots=True)
 class ShadowMap(ClassicalEstimator):
-    """Range-image depth test per cell and target (shadow mapping, Williams 1978, with the sensor as the lamp).
+    """Range-image depth test per cell and target (shadow mapping, Williams 1978, with the sensor as light source).
 
-    Counts the beams that would have met a target in the cell and whose depth reaches it: visible where at least
-    ``min_returns`` returns are likelier than fewer, their number being Poisson with that mean. With ``inferred`` the
-    probability is calibrated: how often a cell of which the beams say so much was visible, by exact truth
-    (:func:`viewshed.preprocess.evidence.calibrated_prob`). By the other rules it is that of the count.
+    Counts the beams that would hit a target in the cell and whose depth reaches it. The number of returns is Poisson
+    with this mean, and the probability of visible is P(N ≥ ``min_returns``). With ``inferred`` it is calibrated: the
+    share of visible cells among cells with such counts, by exact truth
+    (:func:`viewshed.preprocess.evidence.calibrated_prob`).
 
-    ``no_return`` says what a beam without a return means: ``inferred`` (a small network guesses from its surroundings
-    how far it went, see :mod:`viewshed.preprocess.no_return`), ``unknown`` (it does not count),
-    ``max_range`` (nothing stands there; right in an open simulator, wrong before glass and absorbers), ``fill`` (it
-    went as far as the nearer of its neighbors in the ring).
+    ``no_return`` is the rule for no-return beams: ``inferred`` (a small network infers their depth from the surrounding
+    beams, see :mod:`viewshed.preprocess.no_return`), ``unknown`` (they do not count), ``max_range`` (free up to the
+    maximum range; right in an open simulator, wrong before glass and absorbers), ``fill`` (depth of the nearer of the
+    two neighbors in the ring).
 
-    Limits: trusts each measured depth, with ``inferred`` each that another beam confirms
-    (:mod:`viewshed.preprocess.range_image`), so that removed or many far-spoofed returns open false corridors;
-    needs the local ground within about 0.3 m. More obstacles never add visibility where no beam is inferred;
-    with ``inferred`` the guess rests on the whole sweep, and obstacles elsewhere change it.
+    Limits: trusts each measured depth (with ``inferred``: each depth that another beam confirms, see
+    :mod:`viewshed.preprocess.range_image`), so removed returns or many far-spoofed ones open false corridors; needs the
+    local ground within about 0.3 m. More obstacles never add visibility, except with ``inferred``: the network uses the
+    whole sweep, so obstacles elsewhere change its result.
     """
 
     grid: BevGrid
     target: Target = CAR
     no_return: NoReturn = "inferred"
     name: str = "shadow_map"
-    abstain_below: float = NEVER_ABSTAIN  # cells of which it is less sure than this are UNKNOWN; .5 never abstains
+    abstain_below: float = NEVER_ABSTAIN  # cells with max(p, 1 - p) below this are UNKNOWN; .5 never abstains
 
     def __post_init__(self) -> None:
         checked_abstention(self.abstain_below)
@@ -55,11 +55,11 @@ class ShadowMap(ClassicalEstimator):
 
     @property
     def uses_history(self) -> bool:
-        """Beams end at the obstacles that earlier sweeps saw (:mod:`viewshed.preprocess.history`)."""
+        """True: beams end at the obstacles of earlier sweeps (:mod:`viewshed.preprocess.history`)."""
         return True
 
     def visible_prob(self, leveled: LeveledSweep, history: History | None) -> NDArray[np.float32]:
-        """Return the probability that the beams that would have met a target in each cell are enough to show it."""
+        """Return the probability (cells, cells) that a target in each cell gives at least ``min_returns`` returns."""
         evidence = beam_evidence(leveled, self.grid, self.target, history)
         if self.no_return == "inferred":
             return calibrated_prob(leveled, evidence)
@@ -70,13 +70,9 @@ class ShadowMap(ClassicalEstimator):
 
 
 def _beams(leveled: LeveledSweep, rule: NoReturn) -> Beams:
-    """Return the beams by another rule than ``inferred``."""
-    beams = _without_behind(leveled)
+    """Return the beams by a rule other than ``inferred``."""
+    # Drop isolated returns behind another return of their pixel: the beam ended at the nearer one.
+    beams = leveled.beams(None if leveled.range_image is None else leveled.range_image.behind)
     if rule == "unknown" or len(leveled.sweep) == 0:
         return beams
     return beams + no_return_beams(leveled, fill=rule == "fill")
-
-
-def _without_behind(leveled: LeveledSweep) -> Beams:
-    """Return the beams of all returns but isolated ones behind another of their pixel: that beam had ended before."""
-    return leveled.beams(None if leveled.range_image is None else leveled.range_image.behind)

@@ -1,4 +1,4 @@
-"""A stream of sweeps: what earlier sweeps saw helps the estimate now, and claims can rest on two sweeps."""
+"""Estimates of a stream of sweeps: use of earlier sweeps, and confirmation of claims by a second sweep."""
 
 from __future__ import annotations
 
@@ -24,16 +24,15 @@ from viewshed.sweep import Sweep
 
 @dataclass(slots=True)
 class SweepBuffer:
-    """The last sweeps of each agent of a stream, as many and as far apart as a :class:`History` is made of.
+    """Buffer of the last sweeps of each agent, the input of :class:`History`.
 
-    The times of all agents are those of one clock.
+    The times of all agents must be of one clock.
     """
 
-    sweeps: int = HISTORY_SWEEPS  # how many are kept of an agent
-    every_s: float = 1.0  # least time in seconds between two of them
-    # those from longer before are not used any more; agents not seen for this time are dropped
-    forget_s: float = FORGET_S
-    agents: int = AGENTS  # how many agents are kept; of more the one that was seen longest ago is dropped
+    sweeps: int = HISTORY_SWEEPS  # maximum number of sweeps per agent
+    every_s: float = 1.0  # minimum time in seconds between two of them
+    forget_s: float = FORGET_S  # older sweeps are not used; agents without a newer sweep are dropped
+    agents: int = AGENTS  # maximum number of agents; beyond it the least recently seen agent is dropped
     _kept: dict[str, deque[LeveledSweep]] = field(default_factory=dict, repr=False)
 
     def __post_init__(self) -> None:
@@ -46,59 +45,58 @@ class SweepBuffer:
             raise ValueError(f"agents must be at least 1, got {self.agents}")
 
     def fresh(self) -> SweepBuffer:
-        """Return a buffer like this one, without any sweep."""
+        """Return an empty buffer with the same settings."""
         return replace(self, _kept={})
 
     def history(self, leveled: LeveledSweep) -> History | None:
-        """Return what is kept of a sweep's agent, seen from there; None for nothing, or without its pose or time."""
-        now_ns, kept = leveled.sweep.t_ns, self._kept.get(leveled.sweep.agent, ())
+        """Return the history of a sweep from its agent's earlier ones; None if empty, or without pose or time."""
+        now_ns, earlier = leveled.sweep.t_ns, self._kept.get(leveled.sweep.agent, ())
         if now_ns is None or leveled.world_from_level is None:
             return None
-        recent = [sweep for sweep in kept if 0 < now_ns - (sweep.sweep.t_ns or 0) <= self.forget_s * 1e9]
+        recent = [sweep for sweep in earlier if 0 < now_ns - (sweep.sweep.t_ns or 0) <= self.forget_s * 1e9]
         return History.of(leveled, recent)
 
     def add(self, leveled: LeveledSweep) -> None:
-        """Keep a sweep, if it has a pose and a time at least ``every_s`` after the last one that was kept.
+        """Keep a sweep if it has a pose and a time at least ``every_s`` after the last kept sweep of its agent.
 
-        One from before it begins a new stream.
+        A sweep older than the last kept one starts a new stream: the agent's sweeps are dropped first.
         """
         t_ns = leveled.sweep.t_ns
         if t_ns is None or leveled.world_from_level is None:
             return
-        kept = self._kept.get(leveled.sweep.agent) or deque(maxlen=self.sweeps)
-        if kept and t_ns < (kept[-1].sweep.t_ns or 0):
-            kept.clear()
-        if not kept or t_ns - (kept[-1].sweep.t_ns or 0) >= self.every_s * 1e9:
-            kept.append(leveled)
-        remember(self._kept, leveled.sweep.agent, kept, self.agents)
+        sweeps = self._kept.get(leveled.sweep.agent) or deque(maxlen=self.sweeps)
+        if sweeps and t_ns < (sweeps[-1].sweep.t_ns or 0):
+            sweeps.clear()
+        if not sweeps or t_ns - (sweeps[-1].sweep.t_ns or 0) >= self.every_s * 1e9:
+            sweeps.append(leveled)
+        remember(self._kept, leveled.sweep.agent, sweeps, self.agents)
         self.drop_gone(t_ns)
 
     def drop_gone(self, now_ns: int) -> None:
-        """Drop the agents whose sweeps are all too old to be used."""
+        """Drop the agents whose sweeps are all too old."""
         oldest_ns = now_ns - max(self.forget_s, self.every_s) * 1e9
-        for agent in [name for name, kept in self._kept.items() if (kept[-1].sweep.t_ns or 0) < oldest_ns]:
+        for agent in [name for name, sweeps in self._kept.items() if (sweeps[-1].sweep.t_ns or 0) < oldest_ns]:
             del self._kept[agent]
 
     def reset(self, agent: str | None = None) -> None:
-        """Forget the sweeps of an agent, or of all: what they hold is gone, and the stream begins anew."""
+        """Drop the sweeps of one agent, or of all agents (None)."""
         for name in [agent] if agent is not None else list(self._kept):
             self._kept.pop(name, None)
 
 
 @dataclass(frozen=True, slots=True)
 class TemporalEstimator:
-    """An estimator for a stream: each estimate uses what the agent's earlier sweeps saw.
+    """Stateful estimator for a stream: each estimate uses earlier sweeps of the same agent.
 
-    Sweeps without a pose or a time are estimated by themselves.
+    Sweeps without a pose or a time are estimated without history.
 
     Raises:
-        ValueError: the estimator uses no history.
+        ValueError: the inner estimator uses no history.
     """
 
-    inner: Estimator  # what estimates; one that uses history
-    buffer: SweepBuffer = field(default_factory=SweepBuffer)  # the earlier sweeps that it is given
-    # claim only what an earlier sweep would have seen as well, see :func:`where_confirmed`; without earlier sweeps that
-    # is nothing
+    inner: Estimator  # an estimator that uses history
+    buffer: SweepBuffer = field(default_factory=SweepBuffer)  # the earlier sweeps
+    # claim only cells that an earlier sweep confirms, see :func:`where_confirmed`; without earlier sweeps, none
     require_confirmation: bool = False
 
     def __post_init__(self) -> None:
@@ -107,7 +105,7 @@ class TemporalEstimator:
 
     @property
     def name(self) -> str:
-        """Name of the estimator inside."""
+        """Name of the inner estimator."""
         return self.inner.name
 
     @property
@@ -117,48 +115,48 @@ class TemporalEstimator:
 
     @property
     def target(self) -> Target:
-        """What would have to be seen."""
+        """The target whose visibility is estimated."""
         return self.inner.target
 
     @property
     def threshold(self) -> float:
-        """Probability from which a cell counts as visible."""
+        """Minimum probability of a visible cell."""
         return self.inner.threshold
 
     @property
     def uses_history(self) -> bool:
-        """It brings its own."""
+        """True; the history is its own buffer."""
         return True
 
     def estimate(self, sweep: Sweep | LeveledSweep, history: EarlierSweeps = None) -> FovEstimate:
-        """Return the estimate for the next sweep of the stream, and remember the sweep."""
+        """Return the estimate of the next sweep of the stream, and add the sweep to the buffer."""
         if history is not None:
             raise ValueError("history must be left out: a TemporalEstimator remembers its own stream")
         leveled = leveled_on(sweep, self.grid)
-        seen = self.buffer.history(leveled)
-        leveled = leveled if seen is None else seen.now
-        estimate = self.inner.estimate(leveled, seen)
+        earlier = self.buffer.history(leveled)
+        leveled = leveled if earlier is None else earlier.now
+        estimate = self.inner.estimate(leveled, earlier)
         self.buffer.add(leveled)
-        return where_confirmed(estimate, seen) if self.require_confirmation else estimate
+        return where_confirmed(estimate, earlier) if self.require_confirmation else estimate
 
     def reset(self) -> None:
-        """Forget all earlier sweeps: the next one begins a new stream."""
+        """Drop all earlier sweeps; the next sweep starts a new stream."""
         self.buffer.reset()
 
     def with_abstention(self, below: float) -> TemporalEstimator:
-        """Return the same estimator of the same stream that abstains below another probability."""
+        """Return a copy with the same buffer that abstains below another probability."""
         return replace(self, inner=self.inner.with_abstention(below))
 
     def stream(
         self, sweeps: Iterable[Sweep], history: int = 0, *, require_confirmation: bool = False
     ) -> Iterator[FovEstimate]:
-        """Yield the estimate of each sweep of a stream, with the history that this estimator keeps."""
+        """Yield the estimate of each sweep of a stream, with this estimator's own history."""
         if history or require_confirmation:
             raise ValueError("history must be left out: a TemporalEstimator remembers its own stream")
         return map(self.estimate, _leveled(sweeps, self.grid))
 
     def batch_steps(self) -> BatchSteps:
-        """Refuse: sweeps of a stream are taken one after the other."""
+        """Raise ValueError: sweeps of a stream must be estimated in sequence."""
         raise ValueError("an estimator that remembers takes sweeps one after the other; call its estimate")
 
 
@@ -168,13 +166,13 @@ def stream(
     """Yield the estimate of each sweep of a stream, in order.
 
     Args:
-        estimator: what estimates.
-        sweeps: a recording, or any sweeps in the order in which they were measured.
-        history: how many earlier sweeps help each estimate, where poses are known; 0 takes each sweep by itself.
-        require_confirmation: claim only what an earlier sweep would have seen as well.
+        estimator: the estimator.
+        sweeps: a recording, or any sweeps in measurement order.
+        history: number of earlier sweeps that each estimate uses, if poses are known; 0 uses none.
+        require_confirmation: claim only cells that an earlier sweep confirms.
 
     Raises:
-        ValueError: the estimator uses no history, or confirmation is required without any.
+        ValueError: the estimator uses no history, or confirmation is required with ``history`` 0.
     """
     if history == 0 and require_confirmation:
         raise ValueError("require_confirmation goes with a history of 1 or more: it claims what earlier sweeps saw")
@@ -184,9 +182,9 @@ def stream(
 
 
 def _leveled(sweeps: Iterable[Sweep], grid: BevGrid) -> Iterator[LeveledSweep]:
-    """Yield the sweeps of a stream leveled, with what a sensor without poses holds while it stands still.
+    """Yield the sweeps of a stream, leveled; the ground of a standing sensor without poses is held over sweeps.
 
-    The sensor of each is identified by that of the one before.
+    The sensor identified in one sweep is the hint for the next.
     """
     sensor, rest = UNIDENTIFIED, Rest()
     for sweep in sweeps:
@@ -196,16 +194,16 @@ def _leveled(sweeps: Iterable[Sweep], grid: BevGrid) -> Iterator[LeveledSweep]:
 
 
 def where_confirmed(estimate: FovEstimate, history: History | None) -> FovEstimate:
-    """Return an estimate whose claims each rest on two sweeps: this one, and an earlier one that saw the cell as well.
+    """Return the estimate restricted to cells that at least one earlier sweep of ``history`` confirms as visible.
 
-    Elsewhere its probability is 0, and what was claimed is UNKNOWN. Who opens a view by spoofed returns must have begun
-    before the earlier sweeps; what comes into view for the first time waits for the next one.
+    In other cells the probability becomes 0 and a claim becomes UNKNOWN. An attacker must then spoof the earlier sweeps
+    too; a cell that comes into view is claimed one sweep later.
     """
     confirmed = np.zeros(estimate.grid.shape, np.bool_)
     if history is not None:
         confirmed = history.confirmations(estimate.grid, estimate.target) > 0
     state = np.where(is_visible(estimate.state) & ~confirmed, np.uint8(CellState.UNKNOWN), estimate.state)
-    # What is left of the claims may rest on other shares of unsure ground and inferred beams.
+    # The remaining claims have other shares of unsure ground and inferred beams.
     basis = estimate.basis and replace(estimate.basis, unsure_ground_share=0.0, inferred_share=0.0)
     if history is not None:
         basis = basis_of(history.now, beam_evidence(history.now, estimate.grid, estimate.target, history), state)

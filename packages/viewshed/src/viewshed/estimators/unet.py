@@ -1,4 +1,4 @@
-"""The networks as estimators: one pass (maximum likelihood), or several under dropout masks (Monte Carlo)."""
+"""Networks as estimators: one pass without dropout, or several passes with dropout masks (Monte Carlo dropout)."""
 
 from __future__ import annotations
 
@@ -28,16 +28,16 @@ from viewshed.preprocess.leveling import LeveledSweep, level, leveled_on
 from viewshed.sweep import Sweep
 
 PASSES = 10
-"""Passes of Monte Carlo dropout if not given: with balanced masks they say what 20 with independent ones do."""
+"""Default number of passes of Monte Carlo dropout; with balanced masks as good as 20 with independent masks."""
 
 DEVICES = {"cpu": "onnxruntime", "cuda": "cuda"}
-"""Where a network may run, and the engine that runs it there."""
+"""Device → engine that runs networks on it."""
 
 _MAX_PASSES = 1000
 
 
 class NetworkOutput(NamedTuple):
-    """What a network says of one sweep: probability and standard deviation (cells, cells); None for one pass."""
+    """Output for one sweep: probability, and standard deviation over passes (None for one pass), (cells, cells)."""
 
     prob: NDArray[np.float32]
     std: NDArray[np.float32] | None
@@ -47,34 +47,32 @@ class NetworkOutput(NamedTuple):
 class NetworkInput:
     """One sweep, prepared for the network."""
 
-    leveled: LeveledSweep  # what the input was made of
-    # the network's input, of the shape that the card says; None where no return counts, so that the network need not
-    # run
-    shown: NDArray[Any] | None
+    leveled: LeveledSweep
+    # input features, of the shape in the card; None if no return is within the card's crop, which skips the network
+    features: NDArray[Any] | None
 
 
 class UnetEstimator:
     """Probability of visible by the U-Net of arXiv 2503.07375, on the grid that it was trained for.
 
-    With one pass dropout is off (maximum likelihood) and ``std`` is NaN. With more, ``visible_prob`` is the mean over
-    passes under dropout masks and ``std`` their standard deviation. The masks depend on ``seed`` alone: the same
-    sweep gives the same estimate.
+    With one pass, dropout is off (maximum likelihood) and ``std`` is NaN. With more, ``visible_prob`` is the mean and
+    ``std`` the standard deviation over passes with dropout masks. The masks depend only on ``seed``, so estimates are
+    deterministic.
 
-    A cell is claimed if its probability reaches the card's threshold, and only where the beams support the claim: the
-    network ranks and lowers claims within the evidence (:mod:`viewshed.preprocess.evidence`), which decides the states.
-    Where it does not support a claim the probability is cut to just below the threshold, beyond the reach to 0. With
-    ``abstain_below`` above one half, a cell is claimed from that probability on (or the card's threshold, if that is
-    higher), denied up to ``1 - abstain_below``, and UNKNOWN between.
+    A cell is claimed if its probability reaches the card's threshold and the beams support the claim
+    (:mod:`viewshed.preprocess.evidence`). Without support the probability is capped just below the threshold; beyond
+    the sensor's reach it is 0. With ``abstain_below`` above one half, a cell is claimed from that probability on (or
+    from the card's threshold, if higher), denied up to ``1 - abstain_below``, and UNKNOWN in between.
 
     Args:
         runner: the network.
-        passes: 1, or how many passes of Monte Carlo dropout.
-        seed: of the masks.
-        name: goes into the estimate's ``method``; by default ``unet`` for one pass and ``mc_dropout`` for more.
-        abstain_below: probability, of visible or of not visible, below which a cell is UNKNOWN; .5 never abstains.
+        passes: 1, or the number of passes of Monte Carlo dropout.
+        seed: seed of the dropout masks.
+        name: becomes the estimate's ``method``; by default ``unet`` for one pass and ``mc_dropout`` for more.
+        abstain_below: cells where neither visible nor not visible has this probability are UNKNOWN; .5 never abstains.
 
     Raises:
-        ValueError: ``passes`` lies outside [1, 1000], or is more than 1 for a network without dropout; or
+        ValueError: ``passes`` lies outside [1, 1000], or is above 1 for a network without dropout; or
             ``abstain_below`` lies outside [.5, 1].
     """
 
@@ -86,7 +84,7 @@ class UnetEstimator:
         shape = runner.card.shape
         if passes > 1 and shape.dropout == 0.0:
             raise ValueError(f"passes must be 1 for {runner.card.name}, which has no dropout, got {passes}; use unet")
-        _keep_freed_memory()
+        _raise_trim_threshold()
         self.runner, self.passes, self.seed = runner, passes, seed
         self.abstain_below = checked_abstention(abstain_below)
         self.name = name or ("unet" if passes == 1 else "mc_dropout")
@@ -94,23 +92,23 @@ class UnetEstimator:
         self._masks = None if passes == 1 else shape.masks(passes, rng)
 
     def with_abstention(self, below: float) -> UnetEstimator:
-        """Return the same estimator that abstains below another probability."""
+        """Return a copy that abstains below another probability."""
         return UnetEstimator(self.runner, self.passes, self.seed, self.name, below)
 
     @property
     def threshold(self) -> float:
-        """Probability from which a cell is FREE or SURFACE: the card's threshold, or ``abstain_below`` if higher."""
+        """Minimum probability of a visible cell: the card's threshold, or ``abstain_below`` if higher."""
         abstains = self.abstain_below > NEVER_ABSTAIN
         return max(self.card.threshold, self.abstain_below) if abstains else self.card.threshold
 
     @property
     def uses_history(self) -> bool:
-        """It looks at one sweep."""
+        """False: it uses one sweep."""
         return False
 
     @property
     def card(self) -> NetworkCard:
-        """What the network is."""
+        """The network's card."""
         return self.runner.card
 
     @property
@@ -124,7 +122,7 @@ class UnetEstimator:
         return TARGETS[self.card.target]
 
     def estimate(self, sweep: Sweep | LeveledSweep, history: EarlierSweeps = None) -> FovEstimate:
-        """Return the field of view of one sweep; see :meth:`Estimator.estimate` and the class."""
+        """Return the field of view of one sweep; see :meth:`Estimator.estimate`."""
         leveled = leveled_on(sweep, self.grid)
         checked_history(self, leveled, history)
         prepared = self.prepare(leveled)
@@ -132,12 +130,12 @@ class UnetEstimator:
         return self.finish(prepared, output)
 
     def batch_steps(self) -> BatchSteps:
-        """Return whole estimates where the network can run in each thread alone, else its three steps."""
+        """Return whole estimates as ``prepare`` if the network can run single-threaded, else the three steps."""
         runner = self.runner.single_threaded()
         if runner is None:
             return BatchSteps(lambda sweep: self.prepare(level(sweep, self.grid)), self.infer, self.finish)
-        alone = UnetEstimator(runner, self.passes, self.seed, self.name, self.abstain_below)
-        return BatchSteps(alone.estimate, lambda estimates: estimates, lambda estimate, _: estimate)
+        single_threaded = UnetEstimator(runner, self.passes, self.seed, self.name, self.abstain_below)
+        return BatchSteps(single_threaded.estimate, lambda estimates: estimates, lambda estimate, _: estimate)
 
     def stream(
         self, sweeps: Iterable[Sweep], history: int = 0, *, require_confirmation: bool = False
@@ -146,28 +144,28 @@ class UnetEstimator:
         return stream(self, sweeps, history, require_confirmation=require_confirmation)
 
     def prepare(self, leveled: LeveledSweep) -> NetworkInput:
-        """Return the network's input for a leveled sweep; needs no network, and many threads may do it."""
+        """Return the network's input for a leveled sweep; thread-safe, does not run the network."""
         if not Crop(self.card.max_range_m, self.card.heights_m).any_on(leveled, self.grid):
             return NetworkInput(leveled, None)
         return NetworkInput(leveled, self.card.input_of(leveled))
 
     def infer(self, prepared: Sequence[NetworkInput]) -> list[NetworkOutput | None]:
-        """Return the network's output for each sweep, None where it need not run.
+        """Return the network's output for each sweep, None for sweeps without features.
 
-        A network in one pass is run once for all of them, one of several passes once for each.
+        One-pass networks run once for all sweeps, Monte Carlo dropout once per sweep.
         """
-        shown = [item.shown for item in prepared if item.shown is not None]
-        outputs = iter(self._run(shown) if shown else ())
-        return [None if item.shown is None else next(outputs) for item in prepared]
+        features = [item.features for item in prepared if item.features is not None]
+        outputs = iter(self._run(features) if features else ())
+        return [None if item.features is None else next(outputs) for item in prepared]
 
-    def _run(self, shown: list[NDArray[Any]]) -> Sequence[NetworkOutput]:
+    def _run(self, features: list[NDArray[Any]]) -> Sequence[NetworkOutput]:
         if self.passes > 1:
-            return [NetworkOutput(*mean_and_deviation(self.runner.run(one[None], self._masks))) for one in shown]
-        together = np.stack(shown) if len(shown) > 1 else shown[0][None]
-        return [NetworkOutput(prob, None) for prob in self.runner.run(together)]
+            return [NetworkOutput(*mean_and_deviation(self.runner.run(one[None], self._masks))) for one in features]
+        batch = np.stack(features) if len(features) > 1 else features[0][None]
+        return [NetworkOutput(prob, None) for prob in self.runner.run(batch)]
 
     def finish(self, prepared: NetworkInput, output: NetworkOutput | None) -> FovEstimate:
-        """Return the estimate that the network's output gives; many threads may do it."""
+        """Return the estimate from the network's output; thread-safe."""
         leveled = prepared.leveled
         evidence = beam_evidence(leveled, self.grid, self.target)
         prob, state = np.zeros(self.grid.shape, np.float32), np.full(self.grid.shape, CellState.UNKNOWN, np.uint8)
@@ -206,16 +204,16 @@ def load_network(
 
     Args:
         method: ``unet`` (one pass, dropout off) or ``mc_dropout``.
-        grid: must be the one that the weights were trained for; None is that one, and without weights ``road``.
-        target: must be the one that the weights were trained for; None is that one, and without weights a car.
-        weights: a file, or a name of shipped weights; None takes those shipped for the grid and the target.
-        passes: of ``mc_dropout``, at least 2; None is ``PASSES``.
-        seed: of the dropout masks.
+        grid: must be the grid of the weights; None is that grid, or ``road`` without weights.
+        target: must be the target of the weights; None is that target, or a car without weights.
+        weights: path, or name of shipped weights; None takes the shipped ones for the grid and the target.
+        passes: number of passes for ``mc_dropout``, at least 2; None is ``PASSES``.
+        seed: seed of the dropout masks.
         device: one of :data:`DEVICES`.
 
     Raises:
-        ValueError: no such method, weights or device; weights for another grid or target; or no graphics card.
-        ImportError: what runs networks on the device is not installed.
+        ValueError: no such method, weights or device; weights for another grid or target; or no GPU.
+        ImportError: the runtime of networks on the device is not installed.
     """
     if method not in LEARNED:
         raise ValueError(f"method must be one of {', '.join(LEARNED)}, got {method!r}")
@@ -232,21 +230,21 @@ def load_network(
     return UnetEstimator(runner, passes or PASSES if several else 1, seed, method)
 
 
-_LARGEST = (32 << 20) - (64 << 10)
-"""The GNU allocator keeps up to twice what one array of at most 32 MiB gave back; it begins with 128 KiB."""
+_MALLOC_BYTES = (32 << 20) - (64 << 10)
+"""Just below 32 MiB, the largest freed block for which glibc raises its trim threshold (128 KiB) to twice the block."""
 
 
 @lru_cache(maxsize=1)
-def _keep_freed_memory() -> None:
-    """Raise what the allocator keeps of freed memory to 64 MiB: one large array comes and goes, untouched.
+def _raise_trim_threshold() -> None:
+    """Raise malloc's trim threshold to 64 MiB by freeing one large array, which is never written.
 
-    Without it each sweep of 100,000 points and more pays for about 1,500 fresh pages. Other allocators do not care.
+    This saves about 1,500 page faults per sweep of 100,000 points or more. No effect with other allocators than glibc.
     """
-    np.empty(_LARGEST, np.uint8)
+    np.empty(_MALLOC_BYTES, np.uint8)
 
 
 LEARNED: dict[str, Callable[..., UnetEstimator]] = {
     "unet": partial(load_network, "unet"),
     "mc_dropout": partial(load_network, "mc_dropout"),
 }
-"""The estimators that are networks, by name."""
+"""Network estimators by name."""

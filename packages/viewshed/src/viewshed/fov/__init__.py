@@ -1,1 +1,1 @@
-"""What a sensor sees: the definition of visible, FovEstimate, Truth, heights of the ground, polygons."""
+"""The field of view: the definition of visible, FovEstimate, Truth, ground heights, polygons."""

@@ -1,4 +1,4 @@
-"""FovEstimate: what a sweep could see, cell by cell; the role that makes one."""
+"""FovEstimate: visibility of each cell of a grid to one sweep; and the protocol FovEstimator."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from viewshed import _core, _outputs
 from viewshed._files import write_atomic
-from viewshed.arrays import Mask, frozen, whole
+from viewshed.arrays import Mask, as_int, frozen
 from viewshed.fov.visibility import CAR, Target
 from viewshed.geometry import FloatArray, Rigid
 from viewshed.grid import BevGrid
@@ -27,50 +27,48 @@ if TYPE_CHECKING:
 
 
 THRESHOLD = _core.THRESHOLD
-"""A cell counts as visible from this probability on."""
+"""Minimum probability of a visible cell."""
 
 
 UNSURE_M = _core.UNSURE_M
-"""Ground with a larger standard deviation is unsure: by a third of a car's height."""
+"""Ground height with a larger standard deviation is unsure; a third of a car's height."""
 
 HeightSource = Literal["given", "estimated", "held", "assumed"]
-"""Where a sensor's height is from: the sweep, its returns, earlier sweeps of its stream, or none of them."""
+"""Source of a sensor's height: stated with the sweep, its returns, earlier sweeps of its stream, or a default."""
 
 _HEIGHT_SOURCES = get_args(HeightSource)
 
 
 class CellState(IntEnum):
-    """What is known of a cell. Visible means FREE or SURFACE; only UNKNOWN says nothing."""
+    """State of a cell. Visible means FREE or SURFACE."""
 
     UNKNOWN = 0
-    """No evidence: outside coverage, too few beams, or beams with no return whose cause is not known."""
+    """No evidence: outside coverage, too few beams, or no-return beams of unknown cause."""
     FREE = 1
-    """Visible, and nothing stands there."""
+    """Visible and empty."""
     SURFACE = 2
-    """Visible, and the first surface that the beams meet."""
+    """Visible, and occupied by the first surface that the beams hit."""
     HIDDEN = 3
-    """Inside range and coverage, but blocked by something nearer."""
+    """Within range and coverage, but occluded by a nearer surface."""
 
 
 def is_visible(states: NDArray[np.uint8]) -> Mask:
-    """Return where states (…) are FREE or SURFACE."""
+    """Return the mask (…) of the states (…) that are FREE or SURFACE."""
     return np.asarray((states == CellState.FREE) | (states == CellState.SURFACE))
 
 
 @dataclass(frozen=True, slots=True)
 class Basis:
-    """What an estimate rests on, by which a reader can judge it."""
+    """Quality of the inputs of an estimate: sensor height, ground, inferred beams, reach."""
 
     sensor_height_m: float  # height of the sensor above the ground below it
     # ``given`` with the sweep, ``estimated`` from its returns, ``held`` (carried over from earlier sweeps of the
-    # stream), or ``assumed`` where no ground was seen
+    # stream), or ``assumed`` if no ground was seen
     height_source: HeightSource
-    ground_support: float  # share in [0, 1] of the near ground that lies on the plane that carries the sensor
-    # share in [0, 1] of the FREE and SURFACE cells on ground whose height has a standard deviation above
-    # :data:`UNSURE_M`
-    unsure_ground_share: float
-    inferred_share: float  # share in [0, 1] of these cells that measured beams alone would not support
-    reach_m: float  # how far the sensor sees a dark target; nothing is claimed beyond
+    ground_support: float  # share in [0, 1] of the near ground that lies on the ground plane below the sensor
+    unsure_ground_share: float  # share in [0, 1] of the visible cells whose ground height has a std above UNSURE_M
+    inferred_share: float  # share in [0, 1] of the visible cells that depend on inferred beams
+    reach_m: float  # maximum range of a dark target; no cell beyond is claimed
 
     def __post_init__(self) -> None:
         if self.height_source not in _HEIGHT_SOURCES:
@@ -85,7 +83,7 @@ class Basis:
 
     @property
     def height_line(self) -> str:
-        """The sensor's height, where it is from, how sure it is, and how far the sensor sees, in words.
+        """One line of text: sensor height, its source and support, and the reach.
 
         >>> Basis(1.84, "estimated", 0.63, 0.04, 0.07, 80.0).height_line
         'sensor 1.84 m above the ground (estimated, 63% of the near ground agrees), reach 80 m'
@@ -93,12 +91,12 @@ class Basis:
         height, reach = f"{self.sensor_height_m:.2f} m above", f"reach {self.reach_m:.0f} m"
         if self.height_source == "assumed":
             return f"ground not seen, sensor taken to be {height} it, {reach}"
-        agrees = f", {self.ground_support:.0%} of the near ground agrees" if self.height_source == "estimated" else ""
-        return f"sensor {height} the ground ({self.height_source}{agrees}), {reach}"
+        support = f", {self.ground_support:.0%} of the near ground agrees" if self.height_source == "estimated" else ""
+        return f"sensor {height} the ground ({self.height_source}{support}), {reach}"
 
     @property
     def view_line(self) -> str:
-        """How much of the view stands on unsure ground, and how much rests on inferred beams, in words.
+        """One line of text: shares of the visible cells on unsure ground and by inferred beams.
 
         >>> Basis(1.84, "estimated", 0.63, 0.04, 0.07, 80.0).view_line
         '4% of the view over ground unsure by 0.5 m, 7% by inferred beams'
@@ -114,22 +112,22 @@ class FovEstimate:
     """The field of view of one sweep on a :class:`BevGrid` in the ``level`` frame.
 
     Attributes:
-        grid: where the cells are.
+        grid: grid of the cells.
         visible_prob: (cells, cells) float32 in [0, 1]: probability that a target in the cell would have given at
-            least ``target.min_returns`` returns (the one definition of visible).
-        std: (cells, cells) float32 standard deviation of that probability over the model's posterior: of
-            ``mc_dropout`` over its passes; NaN where the estimator has none.
+            least ``target.min_returns`` returns (the definition of visible).
+        std: (cells, cells) float32 standard deviation of that probability over the model's posterior (``mc_dropout``:
+            over its passes); NaN if the estimator has none.
         state: (cells, cells) uint8 of :class:`CellState`.
         method: name of the estimator.
-        target: what would have to be seen.
-        threshold: probability in (0, 1] from which the estimator calls a cell visible.
+        target: the target whose visibility is estimated.
+        threshold: minimum probability in (0, 1] of a cell that the estimator calls visible.
         world_from_level: pose of the ``level`` frame in the map, or None.
-        t_ns: time of the sweep, or None.
-        agent: whose sensor it was.
-        basis: what the estimate rests on; None where no sweep is known that it was made from.
+        t_ns: time of the sweep in nanoseconds, or None.
+        agent: agent of the sweep.
+        basis: quality of the inputs; None if the estimate was not made from a sweep.
 
     Raises:
-        ValueError: a shape is not the grid's, or a value lies outside its range.
+        ValueError: a shape differs from the grid's, or a value is out of range.
     """
 
     grid: BevGrid
@@ -149,15 +147,15 @@ class FovEstimate:
             raise ValueError(f"threshold must lie in (0, 1], got {self.threshold}")
         object.__setattr__(self, "threshold", float(self.threshold))
         if self.t_ns is not None:
-            object.__setattr__(self, "t_ns", whole("t_ns", self.t_ns))
+            object.__setattr__(self, "t_ns", as_int("t_ns", self.t_ns))
         state = np.asarray(self.state)  # before the cast, which would wrap
         if state.size and not (state.min() >= 0 and state.max() <= max(CellState)):
             raise ValueError(f"state must lie in [0, {max(CellState):d}], got {state.min()}…{state.max()}")
         self._store("visible_prob", self.visible_prob, np.float32)
-        std: Any = _no_deviation(self.grid.cells) if self.std is None else self.std
+        std: Any = _nan_plane(self.grid.cells) if self.std is None else self.std
         self._store("std", std, np.float32)
         self._store("state", self.state, np.uint8)
-        # The least and the greatest of numbers with a NaN among them are NaN, and lie in no bounds.
+        # min and max propagate NaN, which fails both comparisons.
         if not (self.visible_prob.min() >= 0 and self.visible_prob.max() <= 1):
             raise ValueError("visible_prob must lie in [0, 1] and not be NaN")
         if self.std is not None and (np.asarray(std) < 0).any():
@@ -178,7 +176,7 @@ class FovEstimate:
         )
 
     def _repr_png_(self) -> bytes:
-        """Return the picture that a notebook shows."""
+        """Return a PNG for notebooks."""
         return self.plot()
 
     def show(self) -> Path:
@@ -191,7 +189,7 @@ class FovEstimate:
         return path
 
     def visible(self, threshold: float | None = None) -> NDArray[np.bool_]:
-        """Return the mask (cells, cells) of cells with probability ≥ ``threshold``; None is the estimate's own."""
+        """Return the mask (cells, cells) of cells with probability ≥ ``threshold``, by default the estimate's own."""
         threshold = self.threshold if threshold is None else threshold
         if not 0.0 < threshold <= 1.0:
             raise ValueError(f"threshold must lie in (0, 1], got {threshold}")
@@ -199,9 +197,9 @@ class FovEstimate:
         return mask
 
     def doubt(self) -> NDArray[np.float32]:
-        """Return the doubt (cells, cells) float32 in [0, 0.5]: the probability that the likelier answer is wrong.
+        """Return the uncertainty min(p, 1 - p) (cells, cells) float32 in [0, 0.5]: probability that the mask is wrong.
 
-        As good as the estimator's probability: that of ``shadow_map`` is calibrated, published masks say 0 everywhere.
+        It is as reliable as ``visible_prob``: ``shadow_map`` is calibrated, estimators of 0/1 masks give 0 everywhere.
 
         >>> prob = np.array([[0.25, 0.75], [0.0, 1.0]])
         >>> FovEstimate(BevGrid(2, 1.0), prob, np.zeros((2, 2))).doubt().tolist()
@@ -219,28 +217,25 @@ class FovEstimate:
         return float((self.state == state).mean())
 
     def at(self, xy: FloatArray) -> NDArray[np.float32]:
-        """Return the probability of visibility (…,) at points (…, 2+) in ``level``; NaN outside the grid.
-
-        A look-up, not an interpolation: a point has the probability of its cell.
-        """
+        """Return the probability of visible (…,) of the cells at points (…, 2+) in ``level``; NaN outside the grid."""
         cells, inside = self.grid.index(xy)
         prob = self.visible_prob[cells[..., 0], cells[..., 1]]
         return np.where(inside, prob, np.float32(np.nan)).astype(np.float32)
 
     def polygon(self, threshold: float | None = None) -> MultiPolygon:
-        """Return the visible cells as a valid polygon with holes, exact to the cells' edges, meters in ``level``."""
+        """Return the exact outline of the visible cells as a valid polygon with holes, in meters in ``level``."""
         from viewshed.fov.polygons import polygon_of_mask
 
         return polygon_of_mask(self.visible(threshold), self.grid)
 
     def inner_polygon(self, max_vertices: int, threshold: float | None = None) -> MultiPolygon:
-        """Return a simpler polygon of at most ``max_vertices`` vertices that never claims a cell the mask does not."""
+        """Return a polygon of at most ``max_vertices`` vertices that lies within the visible cells."""
         from viewshed.fov.polygons import inner_polygon_of_mask
 
         return inner_polygon_of_mask(self.visible(threshold), self.grid, max_vertices)
 
     def save(self, path: str | Path) -> Path:
-        """Write the estimate to ``path`` and return it; the suffix chooses the format.
+        """Write the estimate to ``path`` in the format of its suffix, and return the path.
 
         ``.png`` is the picture of :meth:`plot`, ``.npz`` all arrays, ``.geojson`` polygons, ``.cpm.json`` an ETSI
         perception region; ``viewshed.io.export.EXPORTERS`` has all formats.
@@ -256,32 +251,32 @@ class FovEstimate:
         return path
 
     def plot(self, leveled: LeveledSweep | None = None, title: str | None = None, dark: bool = False) -> bytes:
-        """Return a PNG of the states, with probability and doubt beside them where there is more than a mask.
+        """Return a PNG of the states; also of probability and uncertainty, unless the probabilities are 0 or 1.
 
         Args:
-            leveled: the sweep that the estimate was made from, to draw its returns as well.
-            title: above the picture; None is method and target.
-            dark: on a dark page.
+            leveled: the sweep of the estimate, to draw its returns.
+            title: title above the picture; None is method and target.
+            dark: whether the background is dark.
         """
         return _outputs.draw(self, leveled, f"{self.method}, {self.target.name}" if title is None else title, dark)
 
 
 @lru_cache(maxsize=8)
-def _no_deviation(cells: int) -> NDArray[np.float32]:
-    """Return the plane (cells, cells) of NaN that estimates without deviations share, read-only."""
+def _nan_plane(cells: int) -> NDArray[np.float32]:
+    """Return a cached read-only (cells, cells) array of NaN, the ``std`` of estimators that have none."""
     plane = np.full((cells, cells), np.nan, np.float32)
     plane.setflags(write=False)
     return plane
 
 
 class FovEstimator(Protocol):
-    """Anything that turns a sweep into an estimate on its own grid."""
+    """Protocol of an object that estimates the field of view of a sweep on its own grid."""
 
     @property
     def grid(self) -> BevGrid:
-        """The grid of every estimate that comes back."""
+        """Grid of all its estimates."""
         ...
 
     def estimate(self, sweep: Sweep) -> FovEstimate:
-        """Estimate what the sensor sees. Must not modify ``sweep``."""
+        """Return the field of view of one sweep. Must not modify ``sweep``."""
         ...

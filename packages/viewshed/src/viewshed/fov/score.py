@@ -1,4 +1,4 @@
-"""One estimate against the truth."""
+"""Scores of an estimate against truth."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from viewshed.metrics import Scores
 
 
 def score(estimate: FovEstimate, truth: Truth | NDArray[np.bool_], known: NDArray[np.bool_] | None = None) -> Scores:
-    """Return the scores of one estimate; those of several add up with ``+``.
+    """Return the scores of one estimate; add the scores of several estimates with ``+``.
 
     Args:
-        estimate: what was estimated.
-        truth: the exact field of view or a label of it; or the mask (cells, cells) of cells that are visible.
-        known: (cells, cells) bool, the cells whose truth is known; None is all of them.
+        estimate: the estimate.
+        truth: the exact field of view or a label of it; or the mask (cells, cells) of visible cells.
+        known: (cells, cells) bool mask of the cells whose truth is known; None is all cells.
 
     Raises:
-        ValueError: the truth lies on another grid, or was not made for the estimate's target.
+        ValueError: the truth is on another grid, or lacks the estimate's target.
     """
     if isinstance(truth, Truth) and truth.grid != estimate.grid:
         raise ValueError(f"truth must lie on the estimate's grid {estimate.grid}, got {truth.grid}")

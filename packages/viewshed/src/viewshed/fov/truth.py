@@ -1,4 +1,4 @@
-"""Truth: what a sensor could have seen, cell by cell."""
+"""Truth: the exact visibility of each cell of a grid to one sweep."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from viewshed.fov.visibility import CAR, TARGETS, Target
 from viewshed.grid import BevGrid
 
 OTHER_DEFINITIONS = ("farthest", "first_blocker", "line_of_sight")
-"""Definitions of visible that others use (docs/conventions.md)."""
+"""Other definitions of visible in the literature (docs/conventions.md)."""
 
 MAX_COUNT = 255
 
@@ -24,13 +24,13 @@ class Truth:
     """The exact field of view of one sweep, or a label of one, on a grid in the ``level`` frame.
 
     Attributes:
-        grid: where the cells are.
-        expected_returns: by target name (cells, cells) uint8 returns that a target there would have given, up to 255.
-        state: by target name (cells, cells) uint8 of ``CellState``.
-        definitions: by name of ``OTHER_DEFINITIONS`` (cells, cells) bool.
+        grid: grid of the cells.
+        expected_returns: target name → (cells, cells) uint8 number of returns from a target there, up to 255.
+        state: target name → (cells, cells) uint8 of ``CellState``.
+        definitions: name in ``OTHER_DEFINITIONS`` → (cells, cells) bool mask of visible cells.
 
     Raises:
-        ValueError: an array does not fit the grid, or a target or definition is unknown.
+        ValueError: the shape or dtype of an array is wrong, or a target or definition is unknown.
     """
 
     grid: BevGrid
@@ -56,10 +56,10 @@ class Truth:
         return frozen(array)
 
     def visible(self, target: Target | str = CAR) -> NDArray[np.bool_]:
-        """Return the mask (cells, cells) of cells where ``target`` would have given enough returns.
+        """Return the mask (cells, cells) of cells where ``target`` would have given ``min_returns`` or more returns.
 
         Raises:
-            ValueError: the truth was not made for this target.
+            ValueError: the truth has no expected returns of this target.
         """
         known = TARGETS.get(target) if isinstance(target, str) else target
         if known is None or known.name not in self.expected_returns:

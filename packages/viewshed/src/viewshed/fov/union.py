@@ -1,4 +1,4 @@
-"""What several views see together: those of the LiDARs of one vehicle on the grid of the first."""
+"""Union of the fields of view of several LiDARs of one vehicle, on the grid of the first."""
 
 from __future__ import annotations
 
@@ -14,24 +14,24 @@ from viewshed.geometry import Rigid
 from viewshed.grid import BevGrid
 
 SPREAD_S = 0.5
-"""Sweeps farther apart in time than this are not of one moment: what moves is somewhere else by then."""
+"""Maximum time between the sweeps of one union; moving objects are elsewhere after a longer time."""
 
 TILT_DEG = 10.0
-"""Mountings by which the ground of two sensors differs by more than this are wrong, or have no roll and pitch."""
+"""Maximum angle between the ground planes of two sensors; beyond it a mounting is wrong or lacks roll and pitch."""
 
-_SAID_MOST = np.array([CellState.UNKNOWN, CellState.HIDDEN, CellState.FREE, CellState.SURFACE], np.uint8)
-"""States from the one that says least: of several sensors, the one that says most of a cell decides."""
+_STATES_BY_RANK = np.array([CellState.UNKNOWN, CellState.HIDDEN, CellState.FREE, CellState.SURFACE], np.uint8)
+"""States in ascending order of information; the state of highest rank wins."""
 
 
 def union_of_views(views: Sequence[FovEstimate]) -> FovEstimate:
-    """Return what the sensors of one vehicle see together, on the grid and in the level frame of the first.
+    """Return the union of the views of one vehicle's sensors, on the grid and in the level frame of the first.
 
-    Each sensor has its own beams and its own view. A cell has the highest probability that a sensor gives it, so that
-    nothing is claimed that no sensor claims: two sensors that doubt do not make one that is sure. SURFACE goes before
-    FREE, FREE before HIDDEN, HIDDEN before UNKNOWN. Five returns of one sensor are needed, never those of two together.
+    The probability of a cell is the maximum over the sensors: two uncertain sensors do not make a certain one, and
+    returns of two sensors are not added up to reach the target's minimum. The state is the one of highest rank:
+    SURFACE, FREE, HIDDEN, UNKNOWN.
 
     Raises:
-        ValueError: there is no view, one has no pose, or their targets, thresholds or times differ.
+        ValueError: there is no view, one has no pose, or their targets, thresholds, times or ground planes differ.
     """
     if not views:
         raise ValueError("views must be one or more, got none")
@@ -59,20 +59,20 @@ def union_of_views(views: Sequence[FovEstimate]) -> FovEstimate:
                 f" {tilt_deg:.0f}°; state roll and pitch as well"
             )
     prob, rank = np.zeros(first.grid.shape), np.zeros(first.grid.shape, np.uint8)
-    rank_of = np.argsort(_SAID_MOST).astype(np.uint8)
+    rank_of = np.argsort(_STATES_BY_RANK).astype(np.uint8)
     for view in views:
         own_prob, state = claimed_at(view, first.grid, poses[0])
         prob, rank = np.maximum(prob, own_prob), np.maximum(rank, rank_of[state])
     return replace(
-        first, visible_prob=prob.astype(np.float32), state=_SAID_MOST[rank], std=None, basis=None,
+        first, visible_prob=prob.astype(np.float32), state=_STATES_BY_RANK[rank], std=None, basis=None,
         agent=" ".join(dict.fromkeys(view.agent for view in views)),
     )  # fmt: skip
 
 
 def claimed_at(view: FovEstimate, grid: BevGrid, world_from_grid: Rigid) -> tuple[F64, NDArray[np.uint8]]:
-    """Return the probability and the state (cells, cells) that a view claims in the cells of another grid.
+    """Return the probability float64 and state uint8 (cells, cells) of a view, resampled to another grid.
 
-    Outside its own they are 0 and UNKNOWN.
+    Cells outside the view's own grid are 0 and UNKNOWN.
 
     Raises:
         ValueError: the view has no pose.

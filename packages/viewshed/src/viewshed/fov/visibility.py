@@ -1,9 +1,9 @@
-"""The one definition of *visible*.
+"""The definition of *visible*.
 
 A cell is visible to a sweep if a target standing there would have given at least ``min_returns`` returns.
 
-Beams are counted in (azimuth column, range bin), summed over the columns before; then the beams that a target in a cell
-spans are the difference of two sums, at the two ends of its window of azimuth.
+The core counts beams by azimuth column and range bin, and builds cumulative sums over the columns. The number of beams
+within a target's azimuth window is then the difference of the sums at its two ends.
 """
 
 from __future__ import annotations
@@ -16,21 +16,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from viewshed import _core
-from viewshed.arrays import whole
+from viewshed.arrays import as_int
 from viewshed.fov.height_map import HeightMap
 from viewshed.grid import BevGrid, polar_of_cells
 
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """What would have to be seen: an upright box on the local ground.
+    """The target whose visibility is estimated: an upright box on the local ground.
 
     Attributes:
-        name: what it is.
+        name: name of the target.
         length_m: longer side.
-        width_m: shorter side, the one that beams must fall on.
+        width_m: shorter side, which faces the sensor.
         height_m: height above local ground.
-        min_returns: returns from which on it counts as seen.
+        min_returns: minimum number of returns of a visible target.
     """
 
     name: str
@@ -44,7 +44,7 @@ class Target:
             value = getattr(self, key)
             if not (np.isfinite(value) and 0 < value <= 100):
                 raise ValueError(f"{key} must lie in (0, 100], got {value}")
-        object.__setattr__(self, "min_returns", whole("min_returns", self.min_returns))
+        object.__setattr__(self, "min_returns", as_int("min_returns", self.min_returns))
         if not 1 <= self.min_returns <= 10_000:
             raise ValueError(f"min_returns must lie in [1, 10000], got {self.min_returns}")
 
@@ -59,11 +59,11 @@ TARGETS: dict[str, Target] = {target.name: target for target in (CAR, PEDESTRIAN
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Beams:
-    """Straight beams from the sensor, in the ``level`` frame: what the definition of visible counts."""
+    """Straight beams from the sensor in the ``level`` frame, which the definition of visible counts."""
 
     azimuth: NDArray[np.float32]  # (B,) float32 radians in [-π, π)
     slope: NDArray[np.float32]  # (B,) float32 rise over horizontal range
-    depth_m: NDArray[np.float32]  # (B,) float32 horizontal range at which the beam ended; +inf where nothing stopped it
+    depth_m: NDArray[np.float32]  # (B,) float32 horizontal range at which the beam ended; +inf if nothing stopped it
 
     def __post_init__(self) -> None:
         if not (self.azimuth.shape == self.slope.shape == self.depth_m.shape) or self.azimuth.ndim != 1:
@@ -71,14 +71,14 @@ class Beams:
 
     @property
     def arrays(self) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
-        """Azimuth, slope and depth_m, as the core takes them."""
+        """Azimuth, slope and depth_m as contiguous float32 arrays for the core."""
         azimuth, slope, depth_m = (
             np.ascontiguousarray(array, np.float32) for array in (self.azimuth, self.slope, self.depth_m)
         )
         return azimuth, slope, depth_m
 
     def __add__(self, other: Beams) -> Beams:
-        """Return both together, the other's last."""
+        """Return the concatenation of both."""
         pairs = ((self.azimuth, other.azimuth), (self.slope, other.slope), (self.depth_m, other.depth_m))
         return Beams(*map(np.concatenate, pairs))
 
@@ -86,13 +86,13 @@ class Beams:
 def expected_returns(
     beams: Beams, sensor_height_m: float, ground: HeightMap, grid: BevGrid, target: Target
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return (cells, cells) expected returns of a target in each cell, and the beams that aim at it.
+    """Return (cells, cells) float32 expected returns of a target in each cell, and the number of beams aimed at it.
 
-    A beam counts for a cell at range r if its azimuth falls inside the target's width at r, its height at r lies
-    between the local ground and the target's top, and its depth reaches r less one cell. ``aimed`` leaves the
-    depth out: beams that would meet the target if nothing stood nearer. Counts are interpolated within an azimuth
-    column (``aimed``: averaged over neighboring sectors of 2.8°), so they need not be whole; heights may lie 0.3 m
-    below ground, the tolerance of a measured ground.
+    A beam counts for a cell at range r if its azimuth is within the target's width at r, its height at r is between
+    the local ground and the target's top, and its depth is at least r minus one cell. The aimed beams ignore the
+    depth: they would hit the target if there were no occlusion. Counts are interpolated within an azimuth column
+    (aimed beams: averaged over neighboring sectors of 2.8°), so they are not integers. Beams up to 0.3 m below the
+    ground count too: the tolerance of a measured ground.
     """
     return _core.expected_returns(
         cell_windows(grid, target.width_m),
@@ -107,8 +107,8 @@ def expected_returns(
 def probability_of_visible(counts: NDArray[np.float32], min_returns: int) -> NDArray[np.float32]:
     """Return P(N ≥ min_returns), N Poisson with mean ``counts``, float32 of the same shape.
 
-    Beam counts of a measured sweep are uncertain by the jitter of azimuths and ground. The median of a Poisson
-    variable of whole mean m is m, so that a threshold of 0.5 is the definition itself.
+    Jitter of azimuth and ground height makes beam counts of a measured sweep uncertain. The median of a Poisson
+    variable with integer mean m is m, so the threshold 0.5 is equivalent to the definition.
 
     >>> probability_of_visible(np.array([0.0, 4.0, 5.0, 50.0], np.float32), 5).round(2).tolist()
     [0.0, 0.3700000047683716, 0.5600000023841858, 1.0]
@@ -119,15 +119,15 @@ def probability_of_visible(counts: NDArray[np.float32], min_returns: int) -> NDA
 
 @lru_cache(maxsize=8)
 def poisson_table(min_returns: int) -> NDArray[np.float32]:
-    """Return P(N ≥ min_returns) at means 0, 1/32, 2/32 and so on, as the core looks it up."""
+    """Return the core's lookup table of P(N ≥ min_returns), float32 at means 0, 1/32, 2/32 and so on."""
     return _core.poisson_table(min_returns)
 
 
 @lru_cache(maxsize=16)
 def cell_windows(grid: BevGrid, width_m: float) -> _core.CellWindows:
-    """Return the windows of azimuth of a target of a width that it turns to the sensor, in each cell of a grid."""
+    """Return the azimuth window of a target of ``width_m`` that faces the sensor, for each cell of a grid."""
     return _core.CellWindows(*polar_of_cells(grid), grid.cell_m, width_m)
 
 
-# Whoever leaks a reference to this module (an extension of another package) would make nanobind report these as leaked.
+# If another extension leaks a reference to this module, nanobind would report the cached windows as leaks.
 atexit.register(cell_windows.cache_clear)

@@ -1,1 +1,1 @@
-"""Networks that estimate the field of view: shapes, weights, engine."""
+"""Networks that estimate the field of view: architecture, weights, inference."""

@@ -1,4 +1,4 @@
-"""The shape of a network and its dropout masks. Needs numpy alone."""
+"""Architecture of the U-Net and its dropout masks. Imports only numpy."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True, slots=True)
 class UNetShape:
-    """Shape of the U-Net of arXiv 2503.07375, of one map in: ``width · 2^i`` channels after i poolings.
+    """Shape of the U-Net of arXiv 2503.07375 with one input channel: ``width · 2^i`` channels after i poolings.
 
     >>> UNetShape().parameters, sum(UNetShape().masked_channels)
     (486409, 352)
@@ -18,7 +18,7 @@ class UNetShape:
 
     width: int = 8  # channels of the first stage, 1 to 256
     depth: int = 4  # poolings, 1 to 8
-    dropout: float = 0.1  # share of channels that a mask sets to zero, in [0, 1)
+    dropout: float = 0.1  # probability that a mask sets a channel to zero, in [0, 1)
 
     def __post_init__(self) -> None:
         for name, high in (("width", 256), ("depth", 8)):
@@ -30,12 +30,12 @@ class UNetShape:
 
     @property
     def widths(self) -> tuple[int, ...]:
-        """Channels of the encoder's stages and, last, of the bottleneck."""
+        """Channels of each encoder stage and, last, of the bottleneck."""
         return tuple(self.width << i for i in range(self.depth + 1))
 
     @property
     def masked_channels(self) -> tuple[int, ...]:
-        """Channels of each masked stage in the order of a mask: encoder from stage 2, bottleneck, decoder but its last.
+        """Channels of each masked stage, in mask order: encoder from stage 2, bottleneck, decoder without its last.
 
         >>> UNetShape(8, 4).masked_channels
         (16, 32, 64, 128, 64, 32, 16)
@@ -45,25 +45,25 @@ class UNetShape:
     def masks(self, passes: int, rng: np.random.Generator) -> NDArray[np.float32]:
         """Return masks (passes, M) for Monte Carlo dropout: 0 with probability ``dropout``, else 1 / (1 - dropout).
 
-        The masks of several passes are balanced: each channel is dropped in that share of them, as nearly as whole
-        numbers allow (a Latin hypercube; McKay, Beckman and Conover 1979). The mean over 10 of them is nearer to that
-        over very many than the mean over 20 that are drawn independently.
+        The masks are balanced by Latin hypercube sampling (McKay, Beckman and Conover 1979): each channel is dropped in
+        a share ``dropout`` of the passes, up to rounding. The mean over 10 balanced masks is nearer to the limit of
+        many passes than the mean over 20 independent ones.
         """
         if passes < 1:
             raise ValueError(f"passes must be at least 1, got {passes}")
-        drawn = rng.random((passes, sum(self.masked_channels)), dtype=np.float32)
-        # One draw of each channel in each of `passes` equal parts of [0, 1), the parts in an order of their own.
-        part = rng.permuted(np.broadcast_to(np.arange(passes)[:, None], drawn.shape), axis=0).astype(np.float32)
-        keep = (part + drawn) / np.float32(passes) >= np.float32(self.dropout)
+        uniform = rng.random((passes, sum(self.masked_channels)), dtype=np.float32)
+        # Stratify each channel: one sample in each of `passes` equal strata of [0, 1), in random order.
+        stratum = rng.permuted(np.broadcast_to(np.arange(passes)[:, None], uniform.shape), axis=0).astype(np.float32)
+        keep = (stratum + uniform) / np.float32(passes) >= np.float32(self.dropout)
         return keep.astype(np.float32) * np.float32(1.0 / (1.0 - self.dropout))
 
     def no_masks(self, count: int) -> NDArray[np.float32]:
-        """Return masks (count, M) that change nothing: dropout off."""
+        """Return masks (count, M) of ones: dropout off."""
         return np.ones((count, sum(self.masked_channels)), np.float32)
 
     @property
     def parameters(self) -> int:
-        """Number of trained numbers: convolutions, batch normalization (2 a channel), biases where none follows."""
+        """Number of parameters: convolutions, batch normalization (2 per channel), biases where none follows."""
         total = self.width + 1
         for inner, outer in self._stages():
             total += 9 * inner * outer + 9 * outer * outer + 4 * outer
@@ -78,11 +78,11 @@ class UNetShape:
 
     @property
     def divisor(self) -> int:
-        """What the cells of a side must divide by."""
+        """Divisor of the number of cells per side: 2^depth."""
         return 1 << self.depth
 
     def _stages(self) -> list[tuple[int, int]]:
-        """Channels in and out of each stage, encoder, bottleneck, decoder from deep to shallow."""
+        """Return (input, output) channels of each stage: encoder, bottleneck, decoder from deep to shallow."""
         down = list(zip((1, *self.widths[:-1]), self.widths, strict=True))
         return down + [(2 * w, w) for w in self.widths[-2::-1]]
 

@@ -1,4 +1,4 @@
-"""The card that travels with a network's weights: what must be known to use them. Needs no torch."""
+"""NetworkCard: metadata in a network's file that is needed to use its weights. Imports no torch."""
 
 from __future__ import annotations
 
@@ -19,46 +19,46 @@ from viewshed.preprocess.leveling import NULL_RANGE_M, LeveledSweep, level
 from viewshed.sweep import Sweep
 
 FORMAT_VERSION = 3
-"""Version of the card; files of another one are refused."""
+"""Format version of the card; files of other versions are refused."""
 
 TRUTHS = ("probe", "paper_label")
-"""What a network was taught: the exact truth of placed probes, or the label of arXiv 2503.07375."""
+"""Training labels: the exact truth by placed probes, or the label of arXiv 2503.07375."""
 
 COUNTS = ("linear", "log")
-"""How the returns of a cell are shown: count / divisor, as published, or its logarithm."""
+"""Encoding of the number of returns per cell: count / divisor, as published, or logarithmic."""
 
 INT8 = "int8"
-"""What the facts of a training say of the ``precision`` of a network that takes and multiplies bytes."""
+"""Value of ``trained["precision"]`` of a network with int8 input and arithmetic."""
 
 Bytes = NDArray[np.uint8]
 
 _LAYOUT = "viewshed network"
 
 _PUBLISHED = {"channels": 1, "fold": 1}
-"""What cards of version 0.3 say beside of a shape: how many maps are shown, and blocks of cells folded into one."""
+"""Additional fields of ``shape`` in cards of version 0.3: input channels, cells per side of a folded block."""
 
 
 @dataclass(frozen=True, slots=True)
 class NetworkCard:
-    """What must be known to use a network's weights; travels inside the file.
+    """Metadata of a network: shape, grid, target, encoding of the input, threshold; stored in the network's file.
 
     Raises:
-        ValueError: a value lies outside its range; the message says which.
+        ValueError: a value is out of range; the message names it.
     """
 
     name: str  # name of the weights
-    shape: UNetShape = field(default_factory=UNetShape)  # of the network
-    grid: BevGrid = field(default_factory=BevGrid)  # on which it was trained; its cells must divide by ``2^depth``
-    target: str = "car"  # name of what would have to be seen
-    truth: str = "probe"  # what it was taught, one of ``TRUTHS``
-    max_range_m: float = 100.0  # horizontal range up to which returns count; nothing is claimed beyond
-    # lowest and highest z from the SENSOR, in its level attitude, between which returns count
+    shape: UNetShape = field(default_factory=UNetShape)  # shape of the network
+    grid: BevGrid = field(default_factory=BevGrid)  # grid of the training; its cells must be a multiple of ``2^depth``
+    target: str = "car"  # name of the target
+    truth: str = "probe"  # labels of the training, one of ``TRUTHS``
+    max_range_m: float = 100.0  # horizontal range up to which returns count; no cell beyond is claimed
+    # lowest and highest z of a counted return, from the SENSOR, after leveling
     heights_m: tuple[float, float] = (-3.0, 3.0)
-    clip: int = 255  # returns of a cell above which counting stops
-    divisor: float = 1000.0  # counts are divided by it, where they are shown ``linear``
-    counts: str = "linear"  # how they are shown, one of ``COUNTS``; ``log`` is log(1 + count) / log(1 + clip)
-    threshold: float = 0.5  # probability from which a cell counts as visible
-    trained: Mapping[str, str] = field(default_factory=dict)  # facts of the training, by name
+    clip: int = 255  # counts of a cell are clipped to this
+    divisor: float = 1000.0  # divisor of counts in the encoding ``linear``
+    counts: str = "linear"  # encoding of counts, one of ``COUNTS``; ``log`` is log(1 + count) / log(1 + clip)
+    threshold: float = 0.5  # minimum probability of a visible cell
+    trained: Mapping[str, str] = field(default_factory=dict)  # facts about the training, by name
 
     def __post_init__(self) -> None:
         if self.grid.cells % self.shape.divisor:
@@ -68,9 +68,9 @@ class NetworkCard:
         for name, known in (("target", tuple(TARGETS)), ("truth", TRUTHS), ("counts", COUNTS)):
             if getattr(self, name) not in known:
                 raise ValueError(f"{name} must be one of {', '.join(known)}, got {getattr(self, name)!r}")
-        for name, most in (("max_range_m", np.inf), ("clip", 255), ("divisor", np.inf)):
-            if not 0 < getattr(self, name) <= most:
-                rule = "positive" if most == np.inf else f"in [1, {most}]"
+        for name, high in (("max_range_m", np.inf), ("clip", 255), ("divisor", np.inf)):
+            if not 0 < getattr(self, name) <= high:
+                rule = "positive" if high == np.inf else f"in [1, {high}]"
                 raise ValueError(f"{name} must be {rule}, got {getattr(self, name)}")
         if not self.heights_m[0] < self.heights_m[1]:
             raise ValueError(f"heights_m must be (low, high) with low < high, got {self.heights_m}")
@@ -78,54 +78,54 @@ class NetworkCard:
             raise ValueError(f"threshold must lie in (0, 1], got {self.threshold}")
 
     def input_of(self, sweep: Sweep | LeveledSweep) -> NDArray[Any]:
-        """Return the network's input of ``sweep``; see :meth:`shown`.
+        """Return the network's input for ``sweep``, encoded by :meth:`shown`.
 
-        The sweep is turned level by its attitude (estimated where it has none) and cropped about the sensor. Null
-        returns, nearer than 0.5 m, are left out; the vehicle's own roof counts, as in the published code.
+        The sweep is leveled by its attitude (estimated if it has none) and cropped around the sensor. Null returns,
+        nearer than 0.5 m, are dropped; returns from the vehicle's own roof count, as in the published code.
         """
         return self.shown(self.maps_of(sweep))
 
     def maps_of(self, sweep: Sweep | LeveledSweep) -> Bytes:
-        """Return what the network is shown of a sweep as bytes (1, cells, cells), its counts; see :meth:`shown`."""
+        """Return the number of returns in each cell, (1, cells, cells) uint8, clipped to ``clip``."""
         if isinstance(sweep, LeveledSweep):
-            return self._counted(sweep.sweep.points, sweep.level_from_sensor.rotation)
+            return self._count(sweep.sweep.points, sweep.level_from_sensor.rotation)
         attitude = sweep.known_attitude
         if attitude is None:
             return self.maps_of(level(sweep, self.grid))
-        return self._counted(sweep.points, rotation_from_quaternion(attitude))
+        return self._count(sweep.points, rotation_from_quaternion(attitude))
 
     @property
     def precision(self) -> str:
-        """What the network multiplies: ``f32``, or ``int8`` for one in bytes."""
+        """Precision of the arithmetic: ``f32`` or ``int8``."""
         return INT8 if self.trained.get("precision") == INT8 else "f32"
 
     @property
     def input_shape(self) -> tuple[int, int, int]:
-        """Shape of one input: (1, cells, cells), or for a network in bytes (cells, cells, 1)."""
+        """Shape of one input: (1, cells, cells), or (cells, cells, 1) for an int8 network."""
         return (1, *self.grid.shape) if self.precision != INT8 else (*self.grid.shape, 1)
 
     def shown(self, maps: Bytes) -> NDArray[Any]:
-        """Return the network's input of what :meth:`maps_of` returns, of :attr:`input_shape`: float32, or bytes."""
+        """Encode the counts of :meth:`maps_of` as network input of :attr:`input_shape`: float32, or uint8 for int8."""
         if self.precision != INT8:
-            return np.take(self._of_counts(), maps, mode="clip")
+            return np.take(self._count_codes(), maps, mode="clip")
         if self.counts == "log":
-            codes = np.round(self._of_counts() * np.float32(255.0)).astype(np.uint8)[maps]
+            codes = np.round(self._count_codes() * np.float32(255.0)).astype(np.uint8)[maps]
         else:
             codes = np.minimum(maps, self.clip)
         return codes.reshape(self.input_shape)
 
     @property
-    def most_shown(self) -> np.float32:
-        """Value that byte 255 stands for in the input of a network in bytes."""
+    def max_input(self) -> np.float32:
+        """Value that byte 255 represents in the input of an int8 network."""
         return np.float32(255.0 / self.divisor if self.counts == "linear" else 1.0)
 
-    def _of_counts(self) -> NDArray[np.float32]:
-        """Return (256,) as what each number of returns is shown."""
-        each = np.minimum(np.arange(256), self.clip)
-        shown = np.log1p(each) / np.log1p(self.clip) if self.counts == "log" else each / self.divisor
-        return shown.astype(np.float32)
+    def _count_codes(self) -> NDArray[np.float32]:
+        """Return the lookup table (256,) from a number of returns to its encoding."""
+        counts = np.minimum(np.arange(256), self.clip)
+        codes = np.log1p(counts) / np.log1p(self.clip) if self.counts == "log" else counts / self.divisor
+        return codes.astype(np.float32)
 
-    def _counted(self, points: NDArray[np.float32], rotation: NDArray[np.float64]) -> Bytes:
+    def _count(self, points: NDArray[np.float32], rotation: NDArray[np.float64]) -> Bytes:
         counts = self.grid.count(
             points,
             Rigid(rotation, np.zeros(3)),
@@ -136,7 +136,7 @@ class NetworkCard:
         return np.minimum(counts, self.clip, out=counts).astype(np.uint8)[None]
 
     def require(self, grid: BevGrid, target: str) -> None:
-        """Raise a ValueError unless the network was trained for this grid and for the target of this name."""
+        """Raise ValueError unless the network was trained for this grid and target name."""
         if grid != self.grid:
             raise ValueError(
                 f"grid must be {_words(self.grid)} for the network {self.name}, got {_words(grid)}; ask for that"
@@ -154,10 +154,10 @@ class NetworkCard:
 
     @classmethod
     def from_json(cls, text: str) -> NetworkCard:
-        """Return the card that :meth:`to_json` wrote.
+        """Return the card from the output of :meth:`to_json`.
 
         Raises:
-            ValueError: it is no card, or one of another version.
+            ValueError: ``text`` is no card, or a card of another version.
         """
         try:
             content: Any = json.loads(text)
@@ -180,20 +180,20 @@ def _words(grid: BevGrid) -> str:
 
 
 def _card_of(content: dict[str, Any]) -> NetworkCard:
-    names = {each.name for each in fields(NetworkCard)}
+    names = {item.name for item in fields(NetworkCard)}
     inputs = content.pop("inputs", ["counts"])
     if set(content) != names:
         raise ValueError(f"card must have the fields {', '.join(sorted(names))}, got {', '.join(sorted(content))}")
     try:
         shape = {**content.pop("shape")}
-        shape.pop("doubt", None)  # older files: whether there is a second head, which is not read
-        beside = {name: shape.pop(name, value) for name, value in _PUBLISHED.items()}
-        if inputs != ["counts"] or beside != _PUBLISHED:
+        shape.pop("doubt", None)  # older files: whether there is a second head, which is ignored
+        published = {name: shape.pop(name, value) for name, value in _PUBLISHED.items()}
+        if inputs != ["counts"] or published != _PUBLISHED:
             raise ValueError(
                 "network must be shown the counts alone, without a fold, as this version runs it, got one shown"
-                f" {inputs} with fold {beside['fold']}; use shadow_map"
+                f" {inputs} with fold {published['fold']}; use shadow_map"
             )
-        low, high = (0.0 + each for each in content.pop("heights_m"))
+        low, high = (0.0 + height for height in content.pop("heights_m"))
         grid, trained, name = (content.pop(key) for key in ("grid", "trained", "name"))
         if not name.isprintable():
             raise TypeError("name")
@@ -212,22 +212,22 @@ def _card_of(content: dict[str, Any]) -> NetworkCard:
 
 
 class Runner(Protocol):
-    """Anything that runs a network: torch while training, an engine without torch afterwards."""
+    """Protocol of inference: torch during training, ONNX Runtime afterwards."""
 
     @property
     def card(self) -> NetworkCard:
-        """What the network is."""
+        """The network's card."""
         ...
 
     def run(self, inputs: NDArray[Any], masks: NDArray[np.float32] | None = None) -> NDArray[np.float32]:
-        """Return probabilities (N, cells, cells) of inputs (N, 1, cells, cells), dropout off or by masks (N, M).
+        """Return probabilities (N, cells, cells) of inputs (N, 1, cells, cells), without dropout or by masks (N, M).
 
-        A network in bytes takes its inputs as :meth:`NetworkCard.shown` gives them.
+        Inputs are encoded by :meth:`NetworkCard.shown`; an int8 network takes (N, cells, cells, 1) uint8.
 
-        One input with N masks is as good as N copies of it, and faster: what no mask touches is computed once.
+        One input with N masks equals N copies of it, but is faster: layers before the first mask run once.
         """
         ...
 
     def single_threaded(self) -> Runner | None:
-        """Return a runner of the same network that runs in the calling thread alone; None if there is none."""
+        """Return a runner of the same network that uses only the calling thread; None if there is none."""
         ...

@@ -1,9 +1,9 @@
-"""What a network's file may hold, checked before any engine sees it. Needs numpy alone.
+"""Validation of a network's file before an inference engine loads it. Imports only numpy.
 
-A checksum inside a file is no signature: anybody can compute it. So a file is read here as data first: only the
-operators that our exports write, no control flow, nothing outside of the file, constants that are in the file with all
-their bytes, and nothing large that the engine would compute while it loads. The engine bounds the memory of a run
-(:mod:`viewshed.networks.runtime`). Nothing bounds its time, and what a network *says* can be wrong.
+The checksum inside a file is no signature: anybody can compute it. So the file is first parsed as data and must
+contain only operators that our exports use, no control flow, no external data, constants whose bytes are all in the
+file, and nothing large that the engine would compute while loading. The runtime limits the memory of a run
+(:mod:`viewshed.networks.runtime`). Run time is not limited, and the output of a network can be wrong.
 """
 
 from __future__ import annotations
@@ -14,31 +14,31 @@ from viewshed.networks.card import NetworkCard
 from viewshed.networks.protobuf import as_ints, as_message, as_text, fields
 from viewshed.networks.weights import CARD_KEY
 
-MOST_NODES = 1024
-"""Nodes of a graph; the deepest network that a card may have needs fewer than 500."""
+MAX_NODES = 1024
+"""Maximum number of nodes of a graph; the deepest network that a card allows has fewer than 500."""
 
 _OPERATORS = frozenset({
     "Add", "Concat", "Conv", "ConvTranspose", "DequantizeLinear", "MatMul", "MaxPool", "Mul", "QuantizeLinear", "Relu",
     "Reshape", "Shape", "Sigmoid", "Slice", "Split", "Squeeze", "Transpose", "Unsqueeze",
 })  # fmt: skip
-"""The operators of our exports: no loop, no branch, nothing that fills a shape it is given."""
+"""Operators of our exports: no loop, no branch, no operator that allocates a tensor of a given shape."""
 
 _OUTPUTS = (["probability"], ["probability", "deviation"])
-"""Outputs of a graph; the second one of older files, which they compute with Shape and Slice, is never computed."""
+"""Allowed outputs of a graph. Older files compute ``deviation`` with Shape and Slice; it is never requested."""
 
 _BYTES_OF_TYPE = {1: 4, 2: 1, 3: 1, 6: 4, 7: 8}
-"""Bytes of a number by its type in onnx.TensorProto: float32, uint8, int8, int32, int64; our exports use no other."""
+"""Data type in onnx.TensorProto → bytes per number: float32, uint8, int8, int32, int64, the types of our exports."""
 
 
 def inspect_network(content: bytes, name: str) -> NetworkCard:
-    """Return the card of a network's file whose graph an engine may load.
+    """Validate a network's file and return its card.
 
     Args:
-        content: of the file.
-        name: stands for it in messages.
+        content: bytes of the file.
+        name: name of the file in messages.
 
     Raises:
-        ValueError: it is no ONNX file, has no valid card, or holds what our exports do not.
+        ValueError: it is no ONNX file, has no valid card, or contains anything that our exports do not.
     """
     try:
         graph, text = _read_model(content)
@@ -54,17 +54,17 @@ def inspect_network(content: bytes, name: str) -> NetworkCard:
 
 
 def _printable(error: Exception) -> str:
-    """Return the message of an error in one line: names in a file may hold line breaks and control characters."""
+    """Return an error's message in one printable line; names in a file may contain control characters."""
     text = "".join(character if character.isprintable() else "?" for character in str(error))
     return text if len(text) <= 300 else f"{text[:299]}…"
 
 
 class _CardError(ValueError):
-    """A card that is none, or that of a network that this version does not run."""
+    """The card is invalid, or of a network that this version does not run."""
 
 
 class _RefusedError(ValueError):
-    """A file that is sound ONNX and not of ours."""
+    """The file is valid ONNX, but not one of our exports."""
 
 
 def _card_of(text: str) -> NetworkCard:
@@ -91,7 +91,7 @@ def _read_model(content: bytes) -> tuple[memoryview, str]:
 
 
 def _check_graph(message: memoryview) -> None:
-    """Refuse an onnx.GraphProto that holds more than operators, constants, inputs and outputs of ours."""
+    """Raise _RefusedError unless an onnx.GraphProto has only the operators, constants, inputs and outputs of ours."""
     nodes, constants, names = list[memoryview](), set[str](), {11: list[str](), 12: list[str]()}
     for number, value in fields(message):
         if number == 1:
@@ -102,8 +102,8 @@ def _check_graph(message: memoryview) -> None:
             names[number].append(next((as_text(item) for key, item in fields(as_message(value)) if key == 1), ""))
         elif number == 15:
             raise _RefusedError("sparse constants")
-    if len(nodes) > MOST_NODES:
-        raise _RefusedError(f"more than {MOST_NODES} nodes")
+    if len(nodes) > MAX_NODES:
+        raise _RefusedError(f"more than {MAX_NODES} nodes")
     if names[11] != ["inputs", "masks"] or names[12] not in _OUTPUTS:
         raise _RefusedError(f"inputs {names[11]} and outputs {names[12]}; they must be inputs, masks and {_OUTPUTS[0]}")
     known = set(names[11])
@@ -112,10 +112,10 @@ def _check_graph(message: memoryview) -> None:
 
 
 def _check_node(message: memoryview, constants: set[str], known: set[str]) -> None:
-    """Refuse an onnx.NodeProto that is not ours.
+    """Raise _RefusedError unless an onnx.NodeProto is one of ours.
 
-    Its outputs are added to ``constants`` where an engine computes them while it loads the file, else to ``known``,
-    what follows from the inputs of the graph.
+    Its outputs are added to ``constants`` if an engine folds them while loading, else to ``known``, the values that
+    depend on the inputs of the graph.
     """
     inputs, outputs, kind, domain = list[str](), list[str](), "", ""
     for number, value in fields(message):
@@ -126,14 +126,14 @@ def _check_node(message: memoryview, constants: set[str], known: set[str]) -> No
         elif number == 4:
             kind = as_text(value)
         elif number == 5:
-            if not {key for key, _ in fields(as_message(value))} <= {1, 3, 4, 8, 20}:  # integers, a text, their type
+            if not {key for key, _ in fields(as_message(value))} <= {1, 3, 4, 8, 20}:  # name, i, s, ints, type
                 raise _RefusedError("a setting that is a tensor, a graph or a fraction")
         elif number == 7:
             domain = as_text(value)
     if domain or kind not in _OPERATORS:
         raise _RefusedError(f"the operator {f'{domain}.{kind}' if domain else kind}")
-    # An engine computes what follows from constants and shapes alone when it loads a file, before the limit of a run
-    # holds: ours unpack weights there, and nothing more.
+    # An engine folds nodes that depend only on constants and shapes while loading, before the memory limit of a run
+    # applies. Our exports only dequantize weights there.
     if kind == "Shape" or (kind == "DequantizeLinear" and constants.issuperset(inputs)):
         constants.update(outputs)
     elif known.isdisjoint(inputs):
@@ -143,8 +143,8 @@ def _check_node(message: memoryview, constants: set[str], known: set[str]) -> No
 
 
 def _check_constant(message: memoryview) -> str:
-    """Return the name of an onnx.TensorProto, which must hold all its bytes itself."""
-    shape, kind, name, held = tuple[int, ...](), 0, "", 0
+    """Return the name of an onnx.TensorProto; raise _RefusedError unless it contains all its bytes."""
+    shape, kind, name, actual = tuple[int, ...](), 0, "", 0
     for number, value in fields(message):
         if number == 1:
             shape = (*shape, *as_ints(value))
@@ -153,13 +153,15 @@ def _check_constant(message: memoryview) -> str:
         elif number == 8:
             name = as_text(value)
         elif number == 9:
-            held = len(as_message(value))
-        elif number != 12:  # a comment
+            actual = len(as_message(value))
+        elif number != 12:  # doc_string
             raise _RefusedError(f"the constant {name!r} with data outside of the file, or not as raw bytes")
     if kind not in _BYTES_OF_TYPE:
         raise _RefusedError(f"the constant {name!r} of type {kind}")
-    # The shape is only believed if the file holds every one of its numbers: 100 bytes cannot claim 16 GB.
-    wanted = math.prod(shape) * _BYTES_OF_TYPE[kind]
-    if min(shape, default=1) < 0 or wanted != held:
-        raise _RefusedError(f"the constant {name!r} of shape {list(shape)}, {wanted} bytes, with {held} in the file")
+    # The size by shape must equal the bytes in the file, so that 100 bytes cannot claim 16 GB.
+    expected = math.prod(shape) * _BYTES_OF_TYPE[kind]
+    if min(shape, default=1) < 0 or expected != actual:
+        raise _RefusedError(
+            f"the constant {name!r} of shape {list(shape)}, {expected} bytes, with {actual} in the file"
+        )
     return name

@@ -12,7 +12,7 @@ from viewshed.networks.card import Runner
 def mean_and_std(runner: Runner, inputs: F32, passes: int, rng: np.random.Generator) -> tuple[F32, F32]:
     """Return mean and standard deviation (cells, cells) of the probability of one input over ``passes`` masks.
 
-    The deviation is that of the passes themselves (divided by their number, as numpy's).
+    The standard deviation divides by ``passes``, as ``np.std``.
     """
     return mean_and_deviation(runner.run(inputs[None], runner.card.shape.masks(passes, rng)))
 

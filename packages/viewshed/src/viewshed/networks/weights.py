@@ -1,9 +1,9 @@
-"""Weights that travel with a package: a manifest of names, files and checksums.
+"""Weights shipped with a package: a manifest of names, files and checksums.
 
 Other installed packages add folders of weights by entry points of the group ``viewshed.weights``.
 
-A checksum inside a network's file: its last entry of metadata is the SHA-256 of all bytes before it. It finds damage,
-not forgery: anybody can compute it. :mod:`viewshed.networks.inspection` bounds what a file may make an engine do.
+The last metadata entry of a network's file is the SHA-256 of all bytes before it. This checksum detects damage, not
+forgery: anybody can compute it. :mod:`viewshed.networks.inspection` limits what a file can make an engine do.
 """
 
 from __future__ import annotations
@@ -18,25 +18,25 @@ from viewshed._files import write_atomic
 from viewshed.grid import BevGrid
 
 CARD_KEY = "viewshed.card"
-"""Where in a file's metadata the card is."""
+"""Metadata key of the card in a file."""
 
 _KEY = b"viewshed.sha256"
 
 _DIGITS = 64
 
-# The entry as protocol buffers encode it: field 14 (metadata_props) of onnx.ModelProto, then key (1) and value (2).
+# Encoded metadata entry: field 14 (metadata_props) of onnx.ModelProto, then its key (1) and the head of its value (2).
 _HEAD = (
     bytes([14 << 3 | 2, 4 + len(_KEY) + _DIGITS, 1 << 3 | 2, len(_KEY)]) + _KEY + bytes([2 << 3 | 2, _DIGITS])
 )  # fmt: skip
 
 
 def with_checksum(model: bytes) -> bytes:
-    """Return a serialized ONNX model with the checksum of its bytes as one more entry of its metadata."""
+    """Return a serialized ONNX model with the checksum of its bytes appended as a metadata entry."""
     return model + _HEAD + hashlib.sha256(model).hexdigest().encode()
 
 
 def verify_checksum(content: bytes, name: str) -> None:
-    """Raise a ValueError unless ``content`` ends with its own checksum; ``name`` is the file in the message.
+    """Raise ValueError unless ``content`` ends with its own checksum; ``name`` is the file's name in the message.
 
     >>> verify_checksum(with_checksum(b"model"), "a.onnx")
     >>> verify_checksum(with_checksum(b"model").replace(b"m", b"n", 1), "a.onnx")
@@ -50,35 +50,35 @@ def verify_checksum(content: bytes, name: str) -> None:
             f"{name} must be a network that viewshed exported, got a file that is cut short or another; copy it again,"
             " or export it with viewshed train"
         )
-    actual, promised = hashlib.sha256(model).hexdigest(), end[-_DIGITS:].decode("ascii", "replace")
-    if actual != promised:
+    actual, expected = hashlib.sha256(model).hexdigest(), end[-_DIGITS:].decode("ascii", "replace")
+    if actual != expected:
         raise ValueError(
-            f"{name} must have the checksum {promised[:10]}…, got {actual[:10]}…: it is damaged; copy it again"
+            f"{name} must have the checksum {expected[:10]}…, got {actual[:10]}…: it is damaged; copy it again"
         )
 
 
 WEIGHTS = Path(__file__).parent / "weights"
-"""Folder of the weights that viewshed itself ships."""
+"""Folder of viewshed's own weights."""
 
 _MANIFEST = "manifest.json"
 
 
 @dataclass(frozen=True, slots=True)
 class ShippedWeights:
-    """One line of the manifest."""
+    """One entry of the manifest."""
 
-    name: str  # what to ask for
-    file: str  # its file in the folder
-    sha256: str  # checksum of the whole file
-    cells: int  # of the grid
-    half_extent_m: float  # of the grid
-    target: str  # what would have to be seen
-    # estimators that take it if no weights are named: ``unet``, ``mc_dropout``; perhaps none
+    name: str  # name of the weights
+    file: str  # file name in the folder
+    sha256: str  # checksum of the file
+    cells: int  # cells per side of the grid
+    half_extent_m: float  # half extent of the grid
+    target: str  # name of the target
+    # estimators that use it by default: ``unet``, ``mc_dropout``; may be empty
     methods: tuple[str, ...]
 
 
 def manifest(folder: Path = WEIGHTS) -> dict[str, ShippedWeights]:
-    """Return the shipped weights by name; none where there is no manifest."""
+    """Return the shipped weights by name; empty if there is no manifest."""
     path = folder / _MANIFEST
     if not path.is_file():
         return {}
@@ -87,7 +87,7 @@ def manifest(folder: Path = WEIGHTS) -> dict[str, ShippedWeights]:
 
 
 def _folders() -> dict[Path, str]:
-    """Return the folders of shipped weights with the package that brings each, that of viewshed first."""
+    """Return folder of weights → name of its package, viewshed's own first."""
     added = {
         load(point, lambda folder: isinstance(folder, Path), "a folder"): point.dist.name if point.dist else point.name
         for point in plugins("weights").values()
@@ -96,7 +96,7 @@ def _folders() -> dict[Path, str]:
 
 
 def shipped_names() -> tuple[str, ...]:
-    """Return the names of the weights that viewshed and other installed packages ship."""
+    """Return the names of the weights shipped by viewshed and other installed packages."""
     return tuple(dict.fromkeys(name for folder in _folders() for name in manifest(folder)))
 
 
@@ -104,7 +104,7 @@ def shipped_content(name: str) -> bytes:
     """Return the bytes of the shipped weights called ``name``.
 
     Raises:
-        ValueError: the file is not the one that was shipped.
+        ValueError: the file is damaged: it does not have the checksum of the manifest.
     """
     folder, package = next((folder, package) for folder, package in _folders().items() if name in manifest(folder))
     line = manifest(folder)[name]
@@ -119,10 +119,10 @@ def shipped_content(name: str) -> bytes:
 
 
 def default_name(method: str, grid: BevGrid, target: str, folder: Path = WEIGHTS) -> str:
-    """Return the name of viewshed's own weights that ``method`` takes on ``grid`` for the target of this name.
+    """Return the name of viewshed's default weights of ``method`` on ``grid`` for the target of this name.
 
     Raises:
-        ValueError: none are shipped for it.
+        ValueError: no such weights are shipped.
     """
     known = manifest(folder)
     for name, line in known.items():
@@ -138,7 +138,7 @@ def default_name(method: str, grid: BevGrid, target: str, folder: Path = WEIGHTS
 
 
 def add_shipped(content: bytes, line: ShippedWeights, folder: Path = WEIGHTS) -> None:
-    """Write weights into ``folder`` and their line into its manifest; an older line of that name is replaced."""
+    """Write weights and their manifest entry into ``folder``; an existing entry of that name is replaced."""
     folder.mkdir(parents=True, exist_ok=True)
     write_atomic(folder / line.file, content)
     lines = {**manifest(folder), line.name: line}

@@ -1,1 +1,1 @@
-"""From a Sweep to a LeveledSweep: rings, sensor, range image, isolated returns, ground, no-return beams, history."""
+"""Preprocessing of a Sweep: rings, sensor, range image, isolated returns, ground, no-return beams, history."""

@@ -1,4 +1,4 @@
-"""Basis: what an estimate rests on, the same for every estimator."""
+"""Computation of the Basis of an estimate, the same for every estimator."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from viewshed.preprocess.leveling import LeveledSweep
 
 
 def basis_of(leveled: LeveledSweep, evidence: BeamEvidence, state: NDArray[np.uint8]) -> Basis:
-    """Return what an estimate rests on.
+    """Return the basis of an estimate.
 
     Args:
-        leveled: the sweep that it was made from.
-        evidence: what the beams of that sweep say.
-        state: (cells, cells) of :class:`~viewshed.fov.estimate.CellState`, the estimate's.
+        leveled: the sweep of the estimate.
+        evidence: the beam evidence of that sweep.
+        state: (cells, cells) :class:`~viewshed.fov.estimate.CellState` of the estimate.
     """
-    # The ground is looked up at the node before each claimed cell.
+    # The ground's standard deviation is looked up at the lattice node preceding each claimed cell.
     ground, target = leveled.ground, evidence.target
     nodes = positions_of_cells(evidence.grid, ground.half_extent_m, len(ground.std_m)).node
     claimed, over_unsure_ground, inferred = _core.claims(

@@ -1,4 +1,4 @@
-"""Returns and beams: azimuth, slope and range of points, and how well the beams of a table explain them."""
+"""Matching of returns to the beams of a table; azimuth, slope and range of points."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def polar(points: NDArray[np.float32]) -> tuple[F32, F32, F32]:
 
 
 class BeamMatch(NamedTuple):
-    """How a beam table fits: nearest beam of each point, points close to each beam, their share less chance."""
+    """Fit of a beam table: nearest beam of each point, points close to each beam, their share minus chance level."""
 
     ring: NDArray[np.int16]
     hits: NDArray[np.int64]
@@ -26,14 +26,15 @@ class BeamMatch(NamedTuple):
 
 
 def match_beams(slope: F32, range_m: F32, model: LidarModel) -> BeamMatch:
-    """Return the nearest beam of each point and how much better than chance the returns gather at the beams.
+    """Return the nearest beam of each point, and how much better than chance the points match the beams.
 
-    A point has no beam (-1) beyond 0.15° and 5 cm. Close is within a quarter of the gap to the next beam, and within
-    0.1° and 1.5 cm; chance is the share of the gap that this covers. Returns nearer than 1 m do not count.
+    A point farther than 0.15° and 5 cm from all beams has none (-1). It is close if within a quarter of the gap to the
+    next beam, and within 0.1° and 1.5 cm; the chance level is the share of the gap that this covers. Returns nearer
+    than 1 m are ignored.
 
     Args:
         slope: (N,) z over horizontal range.
         range_m: (N,) horizontal range in meters.
-        model: the sensor.
+        model: beam table of the sensor.
     """
     return BeamMatch(*_core.match_beams(slope, range_m, model.elevation, model.origin_m))

@@ -1,8 +1,8 @@
-"""Rings without a table: the elevations at which the returns of an unknown sensor gather.
+"""Rings of an unknown sensor: clusters of the elevations of its returns.
 
-Each beam of a spinning sensor keeps its elevation, so that in the sensor's own frame the elevations of a revolution
-fall into as many narrow clusters as it has beams. Patterns that do not repeat, several sensors in one cloud and points
-that are not in the sensor's frame have none: then nothing is inferred.
+Each beam of a spinning sensor has a fixed elevation. So in the sensor's own frame the elevations of a revolution form
+one narrow cluster per beam. Non-repetitive patterns, merged clouds of several sensors and points in another frame have
+no clusters: then nothing is inferred.
 """
 
 from __future__ import annotations
@@ -17,23 +17,23 @@ from viewshed.arrays import F32
 
 
 class ElevationClusters(NamedTuple):
-    """Beams that a cloud shows."""
+    """Beams recovered from the elevations of a cloud."""
 
     elevation: NDArray[np.float64]  # (K,) radians, ascending
     origin_m: NDArray[np.float64]  # (K,) height of each beam above the sensor's origin at range 0
-    sharpness: float  # share of the returns that lie at the beams, less what chance gives
+    sharpness: float  # share of the returns close to a beam, minus chance level
 
 
 def find_clusters(azimuth: F32, slope: F32, range_m: F32) -> ElevationClusters | None:
-    """Return the elevations at which returns (N,) gather, or None where they do not gather at any.
+    """Return the clusters of the elevations of N returns, or None if there are none.
 
-    How far the returns of a beam scatter is not known before: windows of several widths are tried, and the narrowest
-    one is taken whose clusters explain about as many returns as those of any other.
+    The scatter of a beam's returns is unknown, so several window widths are tried. The narrowest is used whose clusters
+    explain about as many returns as those of any other.
 
     Args:
         azimuth: (N,) radians in [-π, π).
         slope: (N,) z over horizontal range.
         range_m: (N,) horizontal range in meters.
     """
-    found = _core.find_clusters(azimuth, slope, range_m)
-    return None if found is None else ElevationClusters(*found)
+    clusters = _core.find_clusters(azimuth, slope, range_m)
+    return None if clusters is None else ElevationClusters(*clusters)

@@ -1,4 +1,4 @@
-"""What the beams of a sweep say about a target in each cell: the evidence that decides every estimate's states."""
+"""Beam evidence: expected returns of a target in each cell, which decide the states of every estimate."""
 
 from __future__ import annotations
 
@@ -23,24 +23,24 @@ States = NDArray[np.uint8]
 Counts = NDArray[np.int32]
 
 TALLEST_BOX_M = 4.0
-"""Beams without a return that pass higher above the ground than this, wherever they go, meet no box."""
+"""Height above ground of the tallest box; no-return beams that stay above it are ignored."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BeamEvidence:
-    """Beams at a target in each cell, counted as the definition of visible counts them; (cells, cells) each.
+    """Expected returns of a target in each cell by the definition of visible; arrays are (cells, cells).
 
     Attributes:
-        grid: where the cells are.
-        target: what would have to be seen.
-        measured: float32 expected returns by beams whose depth is measured.
-        inferred: float32 expected returns by beams without a return, to where each likely went.
-        late: float32 expected returns by the same beams, to where one in five went.
-        aimed: float32 beams of the first two kinds that aim at the target, whatever their depth.
-        visible_prob: float32 probability that both kinds give ``target.min_returns`` returns, averaged over the heights
-            that the ground may have and the ends that beams may have; below the threshold where no claim is supported.
-        within_reach: bool, not farther from the sensor than it sees a dark target.
-        reach_m: how far that is.
+        grid: grid of the cells.
+        target: the target.
+        measured: float32 expected returns from beams with a measured depth.
+        inferred: float32 expected returns from no-return beams at their median depth.
+        late: float32 expected returns from no-return beams at the depth that one in five of them exceeds.
+        aimed: float32 number of measured and no-return beams aimed at the target, regardless of depth.
+        visible_prob: float32 probability of at least ``target.min_returns`` returns from both kinds, averaged over the
+            distributions of ground height and beam depth; below the threshold where no claim is supported.
+        within_reach: bool mask of cells within ``reach_m``.
+        reach_m: maximum range of a dark target.
     """
 
     grid: BevGrid
@@ -55,41 +55,40 @@ class BeamEvidence:
 
     @property
     def reaching(self) -> F32:
-        """(cells, cells) float32 expected returns by both kinds of beams."""
+        """(cells, cells) float32 expected returns from measured and no-return beams."""
         return self.measured + self.inferred
 
     def supports_claim(self) -> Mask:
-        """Return where a cell may be called visible (cells, cells).
+        """Return the mask (cells, cells) of cells that may be called visible.
 
-        Within reach, where enough beams reach a target on the ground as it was estimated, and on average over the
-        heights that the ground may have.
+        These are within reach, and enough beams reach a target there, both on the estimated ground and averaged over
+        the uncertainty of its height.
         """
         return np.asarray(self.visible_prob >= np.float32(THRESHOLD))
 
     def supports_denial(self) -> Mask:
-        """Return where a cell may be called hidden (cells, cells).
+        """Return the mask (cells, cells) of cells that may be called hidden.
 
-        Within reach, where surely enough beams aim at a target and too few reach it on the ground as it was estimated,
-        even if those without a return ended late.
+        These are within reach, enough beams are aimed at a target there, and too few reach it on the estimated ground,
+        even at the late depth of the no-return beams.
         """
-        every = np.ones(self.grid.shape, np.bool_)
-        return np.asarray(self.states(~every, every, ~every) == CellState.HIDDEN)
+        everywhere = np.ones(self.grid.shape, np.bool_)
+        return np.asarray(self.states(~everywhere, everywhere, ~everywhere) == CellState.HIDDEN)
 
     def bounded(self, prob: F32, threshold: float) -> F32:
-        """Return an estimator's probability (cells, cells), below its threshold where the beams support no claim."""
-        most = np.nextafter(np.float32(threshold), np.float32(0.0))
-        return np.where(self.supports_claim(), prob, np.minimum(prob, most))
+        """Return an estimator's probability (cells, cells), capped below its threshold in cells without support."""
+        max_prob = np.nextafter(np.float32(threshold), np.float32(0.0))
+        return np.where(self.supports_claim(), prob, np.minimum(prob, max_prob))
 
     def states(self, visible: Mask, denied: Mask, obstacle: Mask) -> States:
-        """Return the states (cells, cells) uint8 of what an estimator calls visible, or not visible.
+        """Return the states (cells, cells) uint8 of an estimator's claims and denials.
 
-        FREE or SURFACE where it claims and the beams support that, HIDDEN where it denies and they support that,
-        everything else UNKNOWN.
+        A claim that the beams support is FREE or SURFACE, a denial that they support is HIDDEN, the rest is UNKNOWN.
 
         Args:
-            visible: what the estimator calls visible.
-            denied: what it calls not visible.
-            obstacle: cells that hold an obstacle return.
+            visible: mask of the cells that the estimator calls visible.
+            denied: mask of the cells that the estimator calls not visible.
+            obstacle: mask of the cells with an obstacle return.
         """
         return _core.states(
             self.measured,
@@ -107,40 +106,39 @@ class BeamEvidence:
 def calibrated_prob(leveled: LeveledSweep, evidence: BeamEvidence) -> F32:
     """Return the probability (cells, cells) that a target in each cell is visible, calibrated by exact truth.
 
-    A small network (``tools/fit_calibration.py`` fits it) turns what the beams say of a cell, what they say around it,
-    where the nearest obstacle and the farthest return of its azimuth lie, and what all cells of the sweep are like on
-    average, into how often such a cell is visible.
-    Each cell stays on the side of the threshold on which the beams put it.
+    A small network (fitted by ``tools/fit_calibration.py``) gives the share of visible cells among cells with the same
+    features: the beam evidence in the cell and around it, the nearest obstacle and the farthest return of its azimuth,
+    and averages over all cells of the sweep. The result stays on the same side of the threshold as the evidence.
     """
-    return _core.calibrated_prob(*_seen_by_network(leveled, evidence), table=poisson_table(evidence.target.min_returns))
+    return _core.calibrated_prob(*_feature_inputs(leveled, evidence), table=poisson_table(evidence.target.min_returns))
 
 
 def cell_features(leveled: LeveledSweep, evidence: BeamEvidence) -> F32:
-    """Return what that network is shown (features, cells, cells)."""
-    return _core.cell_features(*_seen_by_network(leveled, evidence), table=poisson_table(evidence.target.min_returns))
+    """Return the features (features, cells, cells) of that network."""
+    return _core.cell_features(*_feature_inputs(leveled, evidence), table=poisson_table(evidence.target.min_returns))
 
 
 class Obstacles(Protocol):
-    """Obstacles at which beams end: those that earlier sweeps saw (:class:`viewshed.preprocess.history.History`)."""
+    """Obstacles of earlier sweeps, at which beams end (:class:`viewshed.preprocess.history.History`)."""
 
     def within(self, beams: Beams) -> Beams:
-        """Return the beams, none deeper than the obstacle in its direction."""
+        """Return the beams with depths limited to the obstacle in their direction."""
         ...
 
 
 def beam_evidence(
     leveled: LeveledSweep, grid: BevGrid, target: Target, history: Obstacles | None = None
 ) -> BeamEvidence:
-    """Return the evidence of a leveled sweep; computed once for a grid, a target and a history while they are used.
+    """Return the evidence of a leveled sweep, cached per grid, target and history.
 
-    Beams end at the obstacles that earlier sweeps saw.
+    With a history, beams end at the obstacles of earlier sweeps.
     """
-    # A history holds the sweeps before: a strong reference to it would keep those of a whole stream.
+    # A weak reference: a history refers to earlier sweeps, so a strong one would keep all sweeps of a stream alive.
     key = "beam_evidence", grid, target, None if history is None else ref(history)
-    known: BeamEvidence | None = leveled.derived.get(key)
-    if known is None:
-        known = leveled.derived[key] = _count_beams(leveled, grid, target, history)
-    return known
+    evidence: BeamEvidence | None = leveled.derived.get(key)
+    if evidence is None:
+        evidence = leveled.derived[key] = _count_beams(leveled, grid, target, history)
+    return evidence
 
 
 def _count_beams(leveled: LeveledSweep, grid: BevGrid, target: Target, history: Obstacles | None) -> BeamEvidence:
@@ -167,28 +165,28 @@ def _count_beams(leveled: LeveledSweep, grid: BevGrid, target: Target, history: 
     return BeamEvidence(grid, target, *arrays, reach_m)
 
 
-def _seen_by_network(leveled: LeveledSweep, of: BeamEvidence) -> tuple[Any, ...]:
-    cells = of.measured, of.inferred, of.late, of.aimed, of.visible_prob
+def _feature_inputs(leveled: LeveledSweep, evidence: BeamEvidence) -> tuple[Any, ...]:
+    windows = cell_windows(evidence.grid, evidence.target.width_m)
+    cells = evidence.measured, evidence.inferred, evidence.late, evidence.aimed, evidence.visible_prob
     returns = leveled.azimuth, leveled.range_m, leveled.height_m
-    heights_m = leveled.ground.heights_m
-    return cell_windows(of.grid, of.target.width_m), cells, returns, *OBSTACLE_HEIGHTS_M, heights_m
+    return windows, cells, returns, *OBSTACLE_HEIGHTS_M, leveled.ground.heights_m
 
 
 def expected_returns(leveled: LeveledSweep, boxes: NDArray[np.floating[Any]], *, leave_out_own: bool = True) -> Counts:
-    """Return how many beams of a leveled sweep would meet each of K boxes (K,) int32.
+    """Return (K,) int32 the number of beams of a leveled sweep that would hit each of K boxes.
 
-    A beam counts if its straight line meets the box and it ended no nearer than there (by 0.1 m, the noise of ranges).
-    Beams with a return end there, those without one where they likely did
-    (:func:`viewshed.preprocess.no_return.beams_by_evidence`). The beams of a sweep are sorted when first needed.
+    A beam counts if its line intersects the box and its depth reaches the box (tolerance 0.1 m, the range noise). The
+    depth is that of the return, or the inferred one (:func:`viewshed.preprocess.no_return.beams_by_evidence`). The
+    sorted beams of a sweep are cached.
 
     Args:
         leveled: the sweep.
         boxes: (K, 7) center x, y, z, length, width and height in meters, and yaw in radians, in ``level``.
-        leave_out_own: count as if the returns in a box were not there, so that their beams meet it. Without it a
-            return in a box ends its beam: those that go through all of the box are left.
+        leave_out_own: ignore the returns inside a box, so that their beams count as hits. If False, a return inside a
+            box ends its beam, so only beams that pass through the whole box count.
 
     Raises:
-        ValueError: the boxes have another shape, are not finite, or have no size.
+        ValueError: the shape of the boxes is wrong, or a box is not finite or has no size.
     """
     boxes = np.ascontiguousarray(boxes, np.float32)
     if boxes.ndim != 2 or boxes.shape[1] != 7:

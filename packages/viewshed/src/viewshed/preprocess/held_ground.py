@@ -1,15 +1,15 @@
-"""What a stream carries over: ground that earlier sweeps saw, and the sensor's height.
+"""Ground and sensor height carried over from earlier sweeps of a stream.
 
-Ground does not move. Where a sweep sees none, it takes the height that an earlier one of its stream saw there, with a
-deviation that has grown with time and distance, while both agree nearby on ground that both see; heights in between are
-filled from both. Where they disagree the present sweep is believed, and what was carried over is dropped. The height of
-the sensor is that of the last sweeps where a single one differs, unless its returns speak for its own. Of a sensor at
-rest it is one number: the one that most of the last estimates are near to.
+Ground is static. Nodes that a sweep does not see take the height from the earlier sweep, if both sweeps agree on ground
+that both see nearby; their standard deviation grows with time and distance. Remaining nodes are interpolated from both.
+Where the sweeps disagree, the current one wins and the carried-over ground is dropped. If the sensor height of a sweep
+differs from that of the last sweeps, theirs is used, unless the returns support its own. The height of a sensor at rest
+is constant: the value that most of the last estimates are close to.
 
-Each sweep hands on what it carries over; none refers to the sweeps before it.
+Each sweep stores what it carries over and holds no reference to earlier sweeps.
 
-Where the sensor is now comes from the poses. Without them a :class:`Rest` holds while the returns show that it stands
-still.
+The motion of the sensor comes from the poses. Without poses, a :class:`Rest` carries over while the returns show that
+the sensor stands still.
 """
 
 from __future__ import annotations
@@ -28,37 +28,38 @@ from viewshed.preprocess.leveling import Held, LeveledSweep, level
 from viewshed.preprocess.streams import FORGET_S, why_anew
 
 HEIGHTS = 7
-"""The sensor's height is the median of those of the last ``HEIGHTS`` sweeps, the present one among them, ..."""
+"""Number of last sweeps, including the current one, whose median height is the sensor's usual height."""
 
-FEWEST_HEIGHTS = 3
-"""... if at least this number of them are known, ..."""
+MIN_HEIGHTS = 3
+"""Minimum number of known heights for that median."""
 
-HEIGHT_OFF_M = 0.15
-"""... and the present one is off by more than this."""
+HEIGHT_TOLERANCE_M = 0.15
+"""Maximum difference between a sweep's own height and the usual one; beyond it the usual height is tried."""
 
-SUPPORT_KEPT = 0.8
-"""Least part of the present support at the height carried over; with less the carrier did change its height."""
+MIN_SUPPORT_RATIO = 0.8
+"""Minimum ratio of ground support at the usual height to that at the own height; below it the sensor has moved up or
+down, and its own height is kept."""
 
-REST_OFF_M = 0.02
-"""At rest a height is set aside for the likeliest one if it is off by more than this."""
+REST_TOLERANCE_M = 0.02
+"""Maximum difference between a sweep's own height and the usual one at rest."""
 
 STD_PER_ROOT_S, STD_PER_ROOT_M = 0.05, 0.01
-"""Growth in meters of the deviation of ground carried over: with the root of seconds and of meters driven."""
+"""Growth in meters of the standard deviation of carried-over ground, per root of seconds and of meters driven."""
 
 STILL_M, STILL_SHARE, STILL_PIXELS = 0.05, 0.8, 500
-"""A sensor stands still while this share of at least ``STILL_PIXELS`` pixels keep their range to ``STILL_M``."""
+"""A sensor stands still if this share of at least ``STILL_PIXELS`` pixels keep their range within ``STILL_M``."""
 
-_APART_S = 1.0
-"""Time between two sweeps that do not say theirs."""
+_DEFAULT_PERIOD_S = 1.0
+"""Assumed time between two sweeps without time stamps."""
 
 
 def hold_over(sweeps: Sequence[LeveledSweep]) -> list[LeveledSweep]:
-    """Return the sweeps of a stream, the oldest first, each with what those before it carry over.
+    """Return the sweeps of a stream, oldest first, each with ground and height carried over from the previous one.
 
-    Those that carry something over already are taken as they are.
+    Sweeps that already carry something over are not changed.
 
     Raises:
-        ValueError: one of them has no pose.
+        ValueError: a sweep has no pose.
     """
     held = list(sweeps[:1])
     for sweep in sweeps[1:]:
@@ -68,18 +69,18 @@ def hold_over(sweeps: Sequence[LeveledSweep]) -> list[LeveledSweep]:
 
 @dataclass(slots=True, eq=False)
 class Rest:
-    """What a sensor without poses carries over while it stands still.
+    """Carries over ground and height of a sensor without poses while it stands still.
 
-    It stands still while most pixels of its range image have the range that they had when it came to rest. A long
-    corridor and an open field look the same from every place. A sensor that moves there is taken to stand, and carries
-    over height and ground of a place that looks the same.
+    The sensor stands still while most pixels of its range image have the same range as when it came to rest. Limit: a
+    long corridor or an open field looks the same from every place. A sensor that moves there is taken to stand still,
+    and carries over ground and height from another place.
     """
 
-    _since_m: F32 | None = None  # (rings, columns) range image of the sweep with which it came to rest
+    _since_m: F32 | None = None  # (rings, columns) range image of the first sweep at rest
     _before: LeveledSweep | None = None
 
     def hold(self, leveled: LeveledSweep) -> LeveledSweep:
-        """Return the next sweep of the stream with what those before it hold; as it is if it moved, or has a pose."""
+        """Return the next sweep with ground and height carried over; unchanged if the sensor moved or has a pose."""
         before, sweep = self._before, leveled.sweep
         now_m = None if leveled.range_image is None else leveled.range_image.range_m
         if (
@@ -96,7 +97,7 @@ class Rest:
 
 
 def _is_same_place(since_m: F32 | None, now_m: F32 | None) -> bool:
-    """Return whether two range images, +inf where nothing returned, were taken from one place."""
+    """Return whether two range images in meters (+inf for no return) were taken from the same place."""
     if since_m is None or now_m is None or since_m.shape != now_m.shape:
         return False
     both = np.isfinite(since_m) & np.isfinite(now_m)
@@ -105,15 +106,15 @@ def _is_same_place(since_m: F32 | None, now_m: F32 | None) -> bool:
 
 
 def hold(leveled: LeveledSweep, before: LeveledSweep, now_from_before: Rigid | None = None) -> LeveledSweep:
-    """Return a sweep with what an earlier one of its stream holds: the sensor's height and ground.
+    """Return a sweep with sensor height and ground carried over from an earlier sweep of its stream.
 
     Args:
         leveled: the sweep.
-        before: the earlier one.
-        now_from_before: pose of the sensor then in its frame now; None takes it from the poses of both.
+        before: the earlier sweep.
+        now_from_before: pose of the earlier sensor frame in the current one; None takes it from the sweeps' poses.
 
     Raises:
-        ValueError: one of them has no pose, and ``now_from_before`` is not given.
+        ValueError: a sweep has no pose and ``now_from_before`` is None.
     """
     at_height, held = _at_held_height(leveled, before, at_rest=now_from_before is not None)
     if leveled.sweep.planar is not None:  # sees no ground
@@ -132,7 +133,7 @@ def pose_of(leveled: LeveledSweep) -> Rigid:
     """Return the pose of a sweep's ``level`` frame in the map.
 
     Raises:
-        ValueError: it has none.
+        ValueError: the sweep has no pose.
     """
     pose = leveled.world_from_level
     if pose is None:
@@ -142,58 +143,58 @@ def pose_of(leveled: LeveledSweep) -> Rigid:
 
 def _seconds(leveled: LeveledSweep, before: LeveledSweep) -> float:
     now_ns, before_ns = leveled.sweep.t_ns, before.sweep.t_ns
-    return _APART_S if now_ns is None or before_ns is None else abs(now_ns - before_ns) / 1e9
+    return _DEFAULT_PERIOD_S if now_ns is None or before_ns is None else abs(now_ns - before_ns) / 1e9
 
 
 def _at_held_height(leveled: LeveledSweep, before: LeveledSweep, at_rest: bool) -> tuple[LeveledSweep, Held]:
-    """Return a sweep leveled at the height that the stream holds where its own is off, and what it hands on."""
+    """Return the sweep, leveled at the usual height if its own differs too much, and the heights to carry over."""
     own_m = _estimated_heights(leveled)
     earlier_m = _estimated_heights(before) if before.held is None else before.held.heights_m
     held = Held((*earlier_m, *own_m)[-HEIGHTS:])
-    if leveled.sweep.sensor_height_m is not None or len(held.heights_m) < (1 if at_rest else FEWEST_HEIGHTS):
+    if leveled.sweep.sensor_height_m is not None or len(held.heights_m) < (1 if at_rest else MIN_HEIGHTS):
         return leveled, held
     usual_m = _likeliest_height(held.heights_m, before) if at_rest else float(np.median(held.heights_m))
-    if abs(usual_m - leveled.sensor_height_m) <= (REST_OFF_M if at_rest else HEIGHT_OFF_M):
+    if abs(usual_m - leveled.sensor_height_m) <= (REST_TOLERANCE_M if at_rest else HEIGHT_TOLERANCE_M):
         return leveled, held
-    # Level again as if the height were known. The sweep itself goes on not to say it.
-    again = level(
+    # Level again with the usual height as given; keep the original sweep, whose height is not given.
+    at_usual = level(
         leveled.sweep.replace(sensor_height_m=usual_m), BevGrid(1, leveled.ground.half_extent_m), leveled.sensor_id
     )
-    if not at_rest and again.ground.support < SUPPORT_KEPT * leveled.ground.support:
+    if not at_rest and at_usual.ground.support < MIN_SUPPORT_RATIO * leveled.ground.support:
         return leveled, held
-    return replace(again, sweep=leveled.sweep), replace(held, is_height_held=True)
+    return replace(at_usual, sweep=leveled.sweep), replace(held, is_height_held=True)
 
 
 def _likeliest_height(heights_m: Sequence[float], before: LeveledSweep) -> float:
-    """Return the one height of a sensor at rest: that with the most estimates around it, of as many the earlier one."""
+    """Return the height of a sensor at rest: the one with most estimates nearby; that of ``before`` wins ties."""
     estimates = np.array(heights_m)
     candidates = np.array([before.sensor_height_m, *np.sort(estimates)])
-    near = np.abs(estimates - candidates[:, None]) <= HEIGHT_OFF_M
+    near = np.abs(estimates - candidates[:, None]) <= HEIGHT_TOLERANCE_M
     best = int(np.argmax(near.sum(axis=1)))
     return float(candidates[best] if best == 0 else np.median(estimates[near[best]]))
 
 
 def _estimated_heights(leveled: LeveledSweep) -> tuple[float, ...]:
-    """Return the height that a sweep's returns give; none where it was given or assumed."""
+    """Return the height estimated from a sweep's returns; empty if it was given or assumed."""
     is_estimated = leveled.sweep.sensor_height_m is None and leveled.ground.support > 0
     return (leveled.sensor_height_m,) if is_estimated else ()
 
 
 def _held_ground(leveled: LeveledSweep, before: LeveledSweep, now_from_before: Rigid) -> HeightMap:
-    """Return the ground of a sweep with that of an earlier one where only that saw it and both agree around it.
+    """Return the ground of a sweep, completed by nodes that only the earlier sweep saw, if both agree around them.
 
-    ``now_from_before`` is the pose of the ``level`` frame of the earlier one in that of the sweep.
+    ``now_from_before`` maps the ``level`` frame of the earlier sweep to that of the current one.
     """
     now, earlier = leveled.ground, before.ground
     driven_m = float(np.hypot(*now_from_before.translation[:2]))
     variance_m2 = STD_PER_ROOT_S**2 * _seconds(leveled, before) + STD_PER_ROOT_M**2 * driven_m
-    found = _core.held_ground(
+    ground = _core.held_ground(
         now.heights_m, now.std_m, now.seen, now.half_extent_m,
         earlier.heights_m, earlier.std_m, earlier.seen, earlier.half_extent_m,
         now_from_before.inverse().as_matrix()[:2].astype(np.float32), now_from_before.as_matrix()[2].astype(np.float32),
         variance_m2, now.plane, leveled.sensor_height_m,
     )  # fmt: skip
-    if found is None:
+    if ground is None:
         return now
-    heights_m, std_m, seen = found
+    heights_m, std_m, seen = ground
     return replace(now, heights_m=heights_m, std_m=std_m, seen=seen)

@@ -1,7 +1,7 @@
-"""History: what earlier sweeps of a moving sensor saw, seen from where the sensor is now.
+"""History: obstacles and views of earlier sweeps of a moving sensor, transformed to its current pose.
 
-A single sweep cannot tell a far return that somebody spoofed from a true one. But what stood there a moment ago and did
-not move still stands there, whatever the beams say now; and a cell that an earlier sweep saw as well rests on two.
+A single sweep cannot distinguish a spoofed far return from a true one. But a static obstacle of the last seconds is
+still there, whatever the current beams say; and a cell that an earlier sweep saw too is confirmed by two sweeps.
 """
 
 from __future__ import annotations
@@ -24,26 +24,26 @@ from viewshed.preprocess.leveling import OBSTACLE_HEIGHTS_M, LeveledSweep, level
 from viewshed.sweep import Sweep
 
 HISTORY_SWEEPS = 5
-"""Earlier sweeps that are used."""
+"""Default number of earlier sweeps."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)
 class History:
-    """What earlier sweeps saw, seen from the sensor now."""
+    """Earlier sweeps and their poses relative to the current sweep."""
 
-    # the sweep now, with the ground and height that earlier ones hold; what is to be estimated
+    # the current sweep, to be estimated, with ground and height carried over from earlier ones
     now: LeveledSweep
-    earlier: tuple[LeveledSweep, ...]  # the sweeps, any number of them, each with what those before it hold
-    now_from_earlier: tuple[Rigid, ...]  # pose of the ``level`` frame of each in that of the sweep now
+    earlier: tuple[LeveledSweep, ...]  # earlier sweeps, oldest first, each with ground and height carried over
+    now_from_earlier: tuple[Rigid, ...]  # pose of each one's ``level`` frame in the current ``level`` frame
     _obstacles: list[F32] = field(default_factory=list, repr=False)
     _confirmations: dict[tuple[BevGrid, Target], NDArray[np.int32]] = field(default_factory=dict, repr=False)
 
     @classmethod
     def of(cls, leveled: LeveledSweep, earlier: Sequence[LeveledSweep]) -> History | None:
-        """Return the history of a sweep from ``earlier`` ones, leveled on the same grid; None where there are none.
+        """Return the history of a sweep from ``earlier`` ones, leveled on the same grid; None if there are none.
 
         Raises:
-            ValueError: one of them has no pose.
+            ValueError: a sweep has no pose.
         """
         if not earlier:
             return None
@@ -54,14 +54,15 @@ class History:
 
     @property
     def sensor_height_m(self) -> float:
-        """Height of the sensor now."""
+        """Height of the sensor above the ground in the current sweep, in meters."""
         return self.now.sensor_height_m
 
     def obstacles(self) -> F32:
-        """Return the horizontal range of the nearest obstacle by slope and azimuth (rows, columns); +inf for none.
+        """Return the image (rows, columns) of the horizontal range of the nearest obstacle, +inf for none; cached.
 
-        An obstacle is what at least two earlier sweeps saw in one place of the map (or the only sweep): what moved was
-        seen there once. Its edges are left out: a beam may pass beside them. Computed once; read-only.
+        Rows are slopes, columns azimuths. At least two earlier sweeps (or the only one) must have seen an obstacle at
+        the same place of the map; this excludes moving objects. Edges of obstacles are left out, because beams may pass
+        beside them. The image is read-only.
         """
         if not self._obstacles:
             self._obstacles.append(self._obstacles_of(range(len(self.earlier))))
@@ -69,7 +70,7 @@ class History:
         return self._obstacles[0]
 
     def _obstacles_of(self, numbers: Sequence[int]) -> F32:
-        """Return the image (rows, columns) of the obstacles that some of the earlier sweeps saw."""
+        """Return the image (rows, columns) of the obstacles in the earlier sweeps with these indices."""
         clouds = []
         for number in numbers:
             before, transform = self.earlier[number], self.now_from_earlier[number].as_matrix()[:3]
@@ -77,52 +78,52 @@ class History:
         return _core.obstacle_image(clouds, OBSTACLE_HEIGHTS_M[0], self.sensor_height_m)
 
     def within(self, beams: Beams) -> Beams:
-        """Return the beams, none deeper than the obstacle remembered in its direction."""
-        return _ended(beams, self.obstacles())
+        """Return the beams with depths limited to the obstacle in their direction."""
+        return _limited(beams, self.obstacles())
 
     def confirmations(self, grid: BevGrid, target: Target) -> NDArray[np.int32]:
-        """Return how many of the earlier sweeps confirm that a target in each cell (cells, cells) would be seen.
+        """Return (cells, cells) int32: the number of earlier sweeps that confirm that a target in each cell is visible.
 
-        A sweep confirms a cell that it would have seen itself, if the line of sight from here was open as well: past
-        the obstacles that it saw, those that several sweeps saw and those of the last sweep, whether they move or not.
-        Computed once for a grid and a target; read-only.
+        A sweep confirms a cell if it saw the cell, and if the line of sight from the current pose to the cell is free
+        of the obstacles of that sweep, of several sweeps (:meth:`obstacles`) and of the last sweep, moving or not.
+        Cached per grid and target; read-only.
         """
         if (grid, target) in self._confirmations:
             return self._confirmations[grid, target]
         total = np.zeros(grid.shape, np.int32)
-        lines, where = _sight_lines(), (self.sensor_height_m, self.now.ground, grid, target)
-        whole, _ = expected_returns(lines, *where)
-        # A sweep alone leaves gaps where it looked from afar or along a face, and the way seems open there.
+        lines, scene = _sight_lines(), (self.sensor_height_m, self.now.ground, grid, target)
+        all_lines, _ = expected_returns(lines, *scene)
+        # The image of one sweep has gaps (far obstacles, grazing surfaces) through which lines of sight would pass.
         images = [self._obstacles_of([number]) for number in range(len(self.earlier))]
-        remembered = np.minimum.reduce([self.obstacles(), *images[-1:]])
+        static_and_last = np.minimum.reduce([self.obstacles(), *images[-1:]])
         for before, now_from_before, image in zip(self.earlier, self.now_from_earlier, images, strict=True):
-            # Did it see the cell from where it was, and is the way from here to the cell open?
+            # Cells that the earlier sweep saw, and lines of sight from the current pose that are free.
             before_from_now = now_from_before.inverse().as_matrix()[:2, [0, 1, 3]].astype(np.float32, order="C")
             seen = beam_evidence(before, grid, target).supports_claim()
-            open_, _ = expected_returns(_ended(lines, np.minimum(image, remembered)), *where)
-            total += _core.confirmed_cells(seen, before_from_now, *grid.origin_m, grid.cell_m, open_, whole)
+            free_lines, _ = expected_returns(_limited(lines, np.minimum(image, static_and_last)), *scene)
+            total += _core.confirmed_cells(seen, before_from_now, *grid.origin_m, grid.cell_m, free_lines, all_lines)
         total.setflags(write=False)
         self._confirmations[grid, target] = total
         return total
 
 
 def history_of(leveled: LeveledSweep, earlier: Sequence[Sweep | LeveledSweep], grid: BevGrid) -> History | None:
-    """Return the history of a sweep, leveled on ``grid``, from ``earlier`` ones; None where there are none.
+    """Return the history of a sweep, leveled on ``grid``, from ``earlier`` ones; None if all are empty or none given.
 
     Raises:
-        ValueError: one of them has no pose.
+        ValueError: a sweep has no pose.
     """
     before = [leveled_on(sweep, grid) for sweep in earlier]
     return History.of(leveled, [sweep for sweep in before if len(sweep.sweep)])
 
 
-def _ended(beams: Beams, image: F32) -> Beams:
-    """Return the beams, none deeper than the obstacle of an image in its direction."""
+def _limited(beams: Beams, image: F32) -> Beams:
+    """Return the beams with depths limited to the obstacle in their direction of an obstacle image."""
     return Beams(beams.azimuth, beams.slope, _core.end_at_obstacles(image, *beams.arrays))
 
 
 @lru_cache(maxsize=1)
 def _sight_lines() -> Beams:
-    """Return lines of sight in every fourth row and column of the image of obstacles."""
+    """Return lines of sight in every fourth row and column of the obstacle image."""
     azimuth, slope = _core.sight_lines()
     return Beams(azimuth, slope, np.full(len(slope), np.inf, np.float32))

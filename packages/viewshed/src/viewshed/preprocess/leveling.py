@@ -1,4 +1,4 @@
-"""Level a sweep: identify its sensor, find isolated returns, estimate attitude and ground, turn its points level."""
+"""Leveling of a sweep: identify its sensor, find isolated returns, estimate attitude and ground, rotate the points."""
 
 from __future__ import annotations
 
@@ -20,64 +20,63 @@ from viewshed.preprocess.sensor_identification import UNIDENTIFIED, SensorId, id
 from viewshed.sweep import Sweep
 
 OBSTACLE_HEIGHTS_M = (0.3, 3.0)
-"""Returns between these heights above local ground are obstacles."""
+"""(low, high) height range above local ground of obstacle returns."""
 
 NULL_RANGE_M = 0.5
-"""Returns nearer than this are null returns or the sensor's own housing, whatever the sensor."""
+"""Minimum range of a return for all sensors; nearer ones are null returns or the sensor's housing."""
 
 MAX_RANGE_M = 250.0
-"""Returns farther than this are not used where the sensor is not known."""
+"""Maximum range of a return if the sensor is unknown."""
 
 LEVEL_TILT = _core.LEVEL_TILT
-"""A ground plane steeper than this is taken as the sensor's tilt where the attitude is not known."""
+"""Minimum slope (radians) of a ground plane that is taken for the sensor's tilt if the attitude is unknown."""
 
 EGO_BOX_M = _core.EGO_LENGTH_M, _core.EGO_WIDTH_M
-"""Half of the length and of the width of the vehicle below a sensor 1.2 to 3 m high, whose returns are left out."""
+"""Half length and half width of the vehicle below a sensor 1.2 to 3 m high; returns within are dropped."""
 
-LEAST_SUPPORT = _core.LEAST_SUPPORT
-"""A height that was estimated from a plane with a smaller share of the near ground on it is doubtful."""
+MIN_SUPPORT = _core.LEAST_SUPPORT
+"""Minimum share of the near ground on the ground plane for a reliable estimate of the sensor's height."""
 
 PLANE_HEIGHT_M = 0.3
-"""Height of a scan in one plane where it is not known: within every target."""
+"""Default height of a planar scan above the ground, which is within the height of every target."""
 
 _OBSTACLE_M = 0.5
-"""Least height above the ground that counts for returns of a scan in one plane: clearly obstacles."""
+"""Minimum height above the ground given to returns of a planar scan, so that all are obstacles."""
 
 
 @dataclass(frozen=True, slots=True)
 class Held:
-    """What a sweep takes from earlier ones of its stream beside their ground; numbers alone, no sweep."""
+    """Sensor heights carried over from earlier sweeps of the stream; holds no reference to the sweeps."""
 
-    # the sensor's heights above the ground that the last sweeps estimated, this one's last
+    # estimated heights of the sensor above the ground in the last sweeps, the current sweep last
     heights_m: tuple[float, ...]
-    is_height_held: bool = False  # whether this sweep's own height was set aside for that of ``heights_m``
+    is_height_held: bool = False  # whether a height from ``heights_m`` replaced the sweep's own estimate
 
 
 @dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)
 class LeveledSweep:
-    """A sweep in its ``level`` frame, without ego returns, null returns and clutter; M ≤ N rows in their order."""
+    """A sweep in its ``level`` frame, without ego returns, null returns and clutter; M of N rows, in order."""
 
-    sweep: Sweep  # the sweep that it came from, with the farthest return of each beam
+    sweep: Sweep  # the original sweep, reduced to the farthest return of each beam
     points: NDArray[np.float32]  # (M, 3) float32 meters in ``level`` (the sensor is at (0, 0, sensor_height_m))
     range_m: NDArray[np.float32]  # (M,) float32 horizontal range from the sensor
     azimuth: NDArray[np.float32]  # (M,) float32 radians in [-π, π), counter-clockwise from forward
     height_m: NDArray[np.float32]  # (M,) float32 height above local ground
     rows: NDArray[np.int32]  # (M,) int32 row of each point in the sweep
-    level_from_sensor: Rigid  # the transform used
+    level_from_sensor: Rigid  # the transform of the points
     ground: HeightMap  # the local ground
-    sensor_id: SensorId = UNIDENTIFIED  # the rings and the sensor, the sweep's own or identified by its points
-    # the sweep's N returns on its range image, or None where the rings are not known
+    sensor_id: SensorId = UNIDENTIFIED  # rings and sensor, the sweep's own or identified from its points
+    # range image of the sweep's N returns, or None if the rings are unknown
     range_image: RangeImage | None = None
-    # what it takes from earlier sweeps beside their ground (:mod:`viewshed.preprocess.held_ground`); None for a sweep
-    # by itself
+    # sensor heights of earlier sweeps (:mod:`viewshed.preprocess.held_ground`); None without earlier sweeps
     held: Held | None = None
-    every_return: Sweep | None = None  # the sweep with all returns, where a beam has several
-    # what was computed of it once and is needed again; the first item of a key names who computes it
+    every_return: Sweep | None = None  # the sweep with all returns, if a beam has several
+    # cache of derived values; the first item of a key names the function that computes the value
     derived: dict[Hashable, Any] = field(default_factory=dict, init=False, repr=False)
 
     @property
     def delivered(self) -> Sweep:
-        """The sweep as the sensor delivered it, with all returns of each beam."""
+        """The original sweep with all returns of each beam."""
         return self.sweep if self.every_return is None else self.every_return
 
     @property
@@ -87,25 +86,26 @@ class LeveledSweep:
 
     @property
     def is_sure_of_height(self) -> bool:
-        """Whether the sensor's height is given, or enough of the near ground supports it."""
-        return self.sweep.sensor_height_m is not None or self.ground.support >= LEAST_SUPPORT
+        """Whether the sensor's height is given, or its estimate is supported by enough near ground."""
+        return self.sweep.sensor_height_m is not None or self.ground.support >= MIN_SUPPORT
 
     @property
     def world_from_level(self) -> Rigid | None:
-        """Pose of the ``level`` frame in the map, or None where the sweep has none."""
+        """Pose of the ``level`` frame in the map, or None if the sweep has no pose."""
         pose = self.sweep.world_from_sensor
         return None if pose is None else pose @ self.level_from_sensor.inverse()
 
     def beams(self, left_out: Mask | None = None) -> Beams:
-        """Return the beams that returned: straight lines from the sensor to each point.
+        """Return the M beams with a return: straight lines from the sensor to each point.
 
-        Those of rows of the sweep in ``left_out`` (N,) point straight up and meet nothing: removing them costs copies.
+        Beams of the sweep's rows in the mask ``left_out`` (N,) point straight up and hit nothing; removing them would
+        copy the arrays.
         """
         slope = _core.beam_slopes(self.points, self.range_m, self.sensor_height_m, left_out, self.rows)
         return Beams(self.azimuth, slope, self.range_m)
 
     def obstacle_cells(self, grid: BevGrid) -> NDArray[np.bool_]:
-        """Return the mask (cells, cells) of cells that hold an obstacle return, 0.3 to 3 m above local ground."""
+        """Return the mask (cells, cells) of cells with an obstacle return, 0.3 to 3 m above local ground."""
         return _core.obstacle_cells(
             self.points, self.height_m, *grid.origin_m, 1.0 / grid.cell_m, *OBSTACLE_HEIGHTS_M, grid.cells
         )
@@ -114,16 +114,16 @@ class LeveledSweep:
 def level(sweep: Sweep, grid: BevGrid, before: SensorId = UNIDENTIFIED) -> LeveledSweep:
     """Return ``sweep`` leveled, its ground estimated over the extent of ``grid``.
 
-    The attitude is the sweep's own, else its pose's, else the sensor's z axis is taken as vertical unless the
-    ground plane is steeper than 6°, which then is taken as the sensor's tilt. The height is the sweep's own, else
-    the ground's below the sensor. Returns nearer than 0.5 m, farther than the sensor can see, or inside the box of
-    a vehicle below the sensor (heights of 1.2 to 3 m) are left out, and so is clutter
-    (:mod:`viewshed.preprocess.range_image`) where the rings are known or can be identified. Of a sensor that reports
-    several returns of a beam the farthest counts: the light went on past leaves, wires and rain. In a stream
-    ``before`` is what was identified of the sweep before: see :func:`identify_sensor`.
+    The attitude is the sweep's own, else that of its pose. Else the sensor's z axis is assumed vertical, unless the
+    ground plane is steeper than 6°: then its slope is taken for the sensor's tilt. The height is the sweep's own, else
+    that of the sensor above the estimated ground. Dropped are returns nearer than 0.5 m, beyond the sensor's maximum
+    range, or inside the box of a vehicle below the sensor (heights of 1.2 to 3 m), and clutter
+    (:mod:`viewshed.preprocess.range_image`) if the rings are known or can be identified. If a beam has several returns,
+    the farthest is used: the light passed leaves, wires and rain. In a stream, ``before`` is the ``sensor_id`` of the
+    previous sweep (see :func:`identify_sensor`).
 
-    A scan in one plane sees no ground: that is taken to be flat, 0.3 m below the sensor where the height is not known,
-    and each of its returns is an obstacle.
+    A planar scan sees no ground: the ground is assumed flat, 0.3 m below the sensor if the height is unknown, and every
+    return is an obstacle.
     """
     if sweep.planar is not None:
         return _level_planar(sweep, grid)
@@ -152,7 +152,7 @@ def level(sweep: Sweep, grid: BevGrid, before: SensorId = UNIDENTIFIED) -> Level
 
 
 def _level_planar(sweep: Sweep, grid: BevGrid) -> LeveledSweep:
-    """Return a scan in one plane leveled over flat ground."""
+    """Return a planar scan leveled over flat ground."""
     attitude = sweep.known_attitude
     rotation = np.eye(3) if attitude is None else rotation_from_quaternion(attitude)
     level_from_sensor = Rigid(rotation, np.array([0.0, 0.0, sweep.sensor_height_m or PLANE_HEIGHT_M]))
@@ -161,7 +161,7 @@ def _level_planar(sweep: Sweep, grid: BevGrid) -> LeveledSweep:
         sweep.points, None, level_from_sensor.as_matrix()[:3].astype(np.float32), *range_limits(sweep), heading,
         ground.heights_m, ground.half_extent_m,
     )  # fmt: skip
-    # Whatever a beam of the plane meets is an obstacle, however low the plane is.
+    # Every return is an obstacle, however low the plane is.
     columns = points, range_m, azimuth, np.maximum(heights_m, np.float32(_OBSTACLE_M)), rows
     for column in columns:
         column.setflags(write=False)
@@ -169,11 +169,11 @@ def _level_planar(sweep: Sweep, grid: BevGrid) -> LeveledSweep:
 
 
 def leveled_on(sweep: Sweep | LeveledSweep, grid: BevGrid, before: SensorId = UNIDENTIFIED) -> LeveledSweep:
-    """Return ``sweep`` leveled for ``grid``, see :func:`level`; one that is leveled already is taken as it is.
+    """Return ``sweep`` leveled for ``grid`` by :func:`level`; a LeveledSweep is returned unchanged.
 
     Raises:
-        TypeError: ``sweep`` is neither.
-        ValueError: it was leveled for a smaller grid.
+        TypeError: ``sweep`` is neither a Sweep nor a LeveledSweep.
+        ValueError: ``sweep`` was leveled for a smaller grid.
     """
     if isinstance(sweep, Sweep):
         return level(sweep, grid, before)
@@ -191,7 +191,7 @@ def leveled_on(sweep: Sweep | LeveledSweep, grid: BevGrid, before: SensorId = UN
 
 
 def range_limits(sweep: Sweep) -> tuple[float, float]:
-    """Return the nearest and the farthest range in meters at which returns of the sweep are used."""
+    """Return the minimum and maximum range in meters of the returns to use."""
     if sweep.planar is not None:
         return 0.0, MAX_RANGE_M
     if sweep.model is None:
@@ -200,5 +200,5 @@ def range_limits(sweep: Sweep) -> tuple[float, float]:
 
 
 def _half_extent_m(grid: BevGrid) -> float:
-    """Return half the side in meters of the ground that a grid needs."""
+    """Return half the side in meters of the ground lattice that covers a grid."""
     return grid.half_extent_m + max(abs(offset) for offset in grid.offset_m)

@@ -1,7 +1,7 @@
-"""Beams without a return: which ones a sweep lacks, where they aimed, and how far each of them is likely to have gone.
+"""No-return beams: which beams of a sweep have no return, their direction, and their likely depth.
 
 The beams are the pixels of a range image, ring by azimuth column. A pixel without a return is a no-return beam, unless
-one within four columns of its ring holds two: then the azimuth only jittered.
+a pixel of its ring within four columns has two returns: that is jitter of the azimuth.
 """
 
 from __future__ import annotations
@@ -20,19 +20,19 @@ from viewshed.preprocess.ring_recovery import recover_rings
 from viewshed.sweep import PlanarScan
 
 JITTER_COLUMNS = _core.JITTER_COLUMNS
-"""A point may lie this many columns from the firing that it belongs to."""
+"""Maximum distance in columns between a return and the firing that it belongs to."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BeamsByEvidence:
-    """The beams of a sweep by what is known of their depth.
+    """The beams of a sweep, with measured and with inferred depth.
 
     Attributes:
-        measured: beams of returns; those of isolated ones point straight up and meet nothing.
-        inferred: without a return, as deep as they went with a probability of .5; at most 1.5 times the range beyond
-            which one return in a thousand lies, since the sweep does not show that its sensor sees farther.
-        early: the same, as deep as they went with a probability of .8.
-        late: the same, as deep as they went with a probability of .2.
+        measured: beams with a return; those of isolated returns point straight up and hit nothing.
+        inferred: no-return beams at the depth that they reached with probability .5. It is at most 1.5 times the range
+            beyond which one return in a thousand lies, because nothing shows that the sensor sees farther.
+        early: no-return beams at the depth that they reached with probability .8.
+        late: no-return beams at the depth that they reached with probability .2.
     """
 
     measured: Beams
@@ -42,14 +42,14 @@ class BeamsByEvidence:
 
 
 def no_return_beams(leveled: LeveledSweep, *, fill: bool) -> Beams:
-    """Return the beams that did not return, in the ``level`` frame.
+    """Return the no-return beams in the ``level`` frame.
 
-    Without ``fill`` the depth is +inf; with it, that of the nearer of the two neighbors in the ring within 16 columns,
-    and beams without such neighbors are left out.
+    Without ``fill`` their depth is +inf. With it, the depth is that of the nearer of the two neighbors in the ring
+    within 16 columns; beams without such neighbors are left out.
     """
     if leveled.sweep.planar is not None:
         return _open_beams(leveled, leveled.sweep.planar)
-    # Isolated returns are returns here; clutter is not.
+    # Here isolated returns count as returns, clutter does not.
     image = _image_of_beams(leveled)
     return Beams(
         *_core.no_return_beams(
@@ -60,20 +60,21 @@ def no_return_beams(leveled: LeveledSweep, *, fill: bool) -> Beams:
 
 
 def beams_by_evidence(leveled: LeveledSweep, top_m: float) -> BeamsByEvidence:
-    """Split the beams of a sweep, in ``level``, into those with a return and those without; guess how far these went.
+    """Split the beams of a sweep, in ``level``, into those with a return and those without; infer the depth of these.
 
-    An isolated return is no evidence of a depth: its beam counts as one without a return.
+    An isolated return is no evidence of a depth: its beam counts as a no-return beam.
 
-    A beam without a return ended at the return beside it in its ring, at the next one below or above it, at the ground,
-    at the middle range around it, at the farthest return of its azimuth, at something unseen, or nothing stopped it. A
-    small network (:mod:`viewshed_lab.training.no_return` fits it to exact ends of simulated beams) says how likely
-    each is, from what returned around the beam at several scales, and from the share of the ground that returns. Fail
-    safe: a beam at ground that returns elsewhere, and those above it, hardly went on, whatever the network says.
+    A no-return beam may have ended at the depth of the return beside it in its ring, of the next one below or above it,
+    of the ground, of the median range around it, of the farthest return of its azimuth, at something unseen, or
+    nowhere. A small network (fitted by :mod:`viewshed_lab.training.no_return` to exact depths of simulated beams) gives
+    the probability of each, from the returns around the beam at several scales and from the share of the ground that
+    returns. Fail-safe: if ground returns elsewhere, a beam aimed at ground and those above it are hardly extended,
+    whatever the output of the network.
 
-    Beams that pass above targets of height ``top_m`` wherever they stand are left out. Rings and columns without any
-    return (dead, dropped) have no beams. Of a cloud without a ring column and without a model it is not known which
-    beams it lacks: it has measured ones alone. So has a sweep whose height is not given and rests on hardly any ground:
-    the guesses need that ground. A scan in one plane says itself which beams met nothing, and how far they went.
+    Beams that stay above targets of height ``top_m`` are left out. Rings and columns without any return (dead, dropped)
+    have no beams. There are only measured beams if the no-return beams are unknown (no ring column and no sensor), or
+    if the sensor's height is not given and poorly supported, because the inference needs the ground. A planar scan
+    states its no-return beams and their depth.
     """
     none = Beams(*np.zeros((3, 0), np.float32))
     if leveled.sweep.planar is not None:
@@ -94,14 +95,14 @@ def beams_by_evidence(leveled: LeveledSweep, top_m: float) -> BeamsByEvidence:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NoReturnGroups:
-    """What the network is fed with: G groups of neighboring beams without a return.
+    """Input of the network: G groups of neighboring no-return beams.
 
     Attributes:
-        azimuth: (G,) float32 of the middle beam in ``level``.
-        slope: (G,) float32 of it.
-        beams: (G,) int32 beams of the group that may meet a target.
-        feature: (G, F) float32.
-        stop: (G, S) float32 logarithms (base 2) of the ranges in meters at which they may have ended; 8 for none.
+        azimuth: (G,) float32 azimuth of the group's middle beam in ``level``.
+        slope: (G,) float32 slope of the middle beam.
+        beams: (G,) int32 number of beams of the group that may hit a target.
+        feature: (G, F) float32 features.
+        stop: (G, S) float32 base-2 logarithms of the candidate depths in meters; 8 for none.
     """
 
     azimuth: F32
@@ -112,7 +113,7 @@ class NoReturnGroups:
 
 
 def no_return_groups(leveled: LeveledSweep, top_m: float) -> NoReturnGroups | None:
-    """Return what the network is fed with of a sweep; None where it is not known which beams the sweep lacks."""
+    """Return the input of the network for a sweep; None if its no-return beams are unknown."""
     image, ground = _pixels(leveled), leveled.ground
     if image is None:
         return None
@@ -126,7 +127,7 @@ def no_return_groups(leveled: LeveledSweep, top_m: float) -> NoReturnGroups | No
 
 
 def _open_beams(leveled: LeveledSweep, planar: PlanarScan) -> Beams:
-    """Return the beams of a scan in one plane that met nothing, as deep as the sensor measures."""
+    """Return the no-return beams of a planar scan, with the sensor's maximum range as depth."""
     azimuth = planar.open_azimuth.astype(np.float64)
     directions = np.column_stack((np.cos(azimuth), np.sin(azimuth))) @ leveled.level_from_sensor.rotation[:, :2].T
     x, y, z = directions.astype(np.float32).T
@@ -140,18 +141,18 @@ def _image_of_beams(leveled: LeveledSweep) -> RangeImage:
     if image is not None and image.pixels_are_beams:
         return image
     sweep, sensor_id = leveled.sweep, leveled.sensor_id
-    # A table that does not explain the rings is none of them.
-    told = sweep if sensor_id.model is not None else sweep.replace(model=None)
-    rings = recover_rings(told, sensor_id.model, sensor_id.ring)
+    # Ignore the sweep's own beam table if it does not match the rings.
+    matching = sweep if sensor_id.model is not None else sweep.replace(model=None)
+    rings = recover_rings(matching, sensor_id.model, sensor_id.ring)
     return range_image_by_rings(sweep.points, rings, range_limits(sweep))
 
 
 def _pixels(leveled: LeveledSweep) -> RangeImage | None:
-    """Return the range image of a sweep, None where its pixels are no beams."""
+    """Return the range image of a sweep, None if its pixels are not beams."""
     image = None if leveled.sensor_id.ring is None else _image_of_beams(leveled)
     return image if image is not None and image.pixels_are_beams else None
 
 
 def _clutter(leveled: LeveledSweep) -> NDArray[np.bool_] | None:
-    """Return the clutter (N,) that the leveled sweep lacks, None where there is none."""
+    """Return the mask (N,) of clutter, which leveling dropped; None if there is none."""
     return None if leveled.range_image is None else leveled.range_image.clutter

@@ -1,4 +1,4 @@
-"""What about a sweep cannot well be as it was read: units, height, sensor, origin. One sentence each, for a person."""
+"""Plausibility checks of a sweep: units, height, sensor, origin; each gives one sentence for the user."""
 
 from __future__ import annotations
 
@@ -12,53 +12,53 @@ from viewshed.sensors import LidarModel
 from viewshed.sweep import Sweep
 
 PLAUSIBLE_HEIGHTS_M = (0.1, 10.0)
-"""Heights at which robots, cars and masts carry sensors."""
+"""Plausible heights of sensors on robots, cars and masts."""
 
-_MILLIMETERS_M, _KILOMETERS_M = 500.0, 0.5
-"""Half of the returns of a file in meters are nearer than the one, and some are farther than the other."""
+_MAX_MEDIAN_M, _MIN_FAR_M = 500.0, 0.5
+"""Maximum median range and minimum 99 % quantile of the ranges of a file in meters."""
 
-_FEWEST, _MANY = 100, 10_000
+_MIN_POINTS, _MANY_POINTS = 100, 10_000
 
 _TURNED_SUPPORT = 0.6
-"""Of 66 real sweeps, 58 have ground with more support than this, and none has it upside down."""
+"""Minimum ground support to detect an upside-down sweep; 58 of 66 real sweeps exceed it, none of them upside down."""
 
-_MOST_TILT_DEG = 6.0
-"""A 2-D laser on a robot that drives up a ramp is tilted by less."""
+_MAX_TILT_DEG = 6.0
+"""Maximum tilt of a 2-D laser; a robot on a ramp is tilted less."""
 
 
-_NO_MATCH = 0.15
-"""A named sensor whose beams explain less of the returns than this is another one, ..."""
+_MIN_MATCH = 0.15
+"""Minimum share of returns that match the named sensor's beams, if the elevations form no clusters."""
 
-_MATCH = 0.6
-"""... and one that explains less than this share of what the elevations at which the returns gather explain."""
+_MIN_MATCH_RATIO = 0.6
+"""Minimum ratio of the share that matches the named sensor's beams to the share in elevation clusters."""
 
-_MOST_OUTSIDE, _FIELD_SLACK = 0.05, np.deg2rad(3.0)
-"""More returns so far above or below the field of a sensor without rings are another sensor's."""
+_MAX_OUTSIDE, _FIELD_TOLERANCE = 0.05, np.deg2rad(3.0)
+"""Maximum share of returns outside the field of view of a sensor without rings, and the tolerance of the field."""
 
 _BELOW_M, _BELOW_SHARE = 0.1, 0.01
-"""Of a sensor above the ground more than this share of the points lie lower than this below it."""
+"""At a sensor above the ground, more than ``_BELOW_SHARE`` of the points lie ``_BELOW_M`` or more below it."""
 
 _LOW_M = 0.6
-"""Sensors that seem to stand lower than this, and whose returns gather at no beams, may not be at the origin."""
+"""Sensors estimated below this height, whose returns match no beams, may not be at the origin."""
 
 
 def check_units(sweep: Sweep) -> None:
-    """Check that a sweep can be in meters and in the sensor's frame.
+    """Check that a sweep is plausibly in meters and in the sensor's frame.
 
     Raises:
-        ValueError: it cannot; nothing that is estimated from it would mean anything.
+        ValueError: it is not; estimates from it would be meaningless.
 
     >>> check_units(Sweep(np.zeros((500, 3))))
     Traceback (most recent call last):
     ValueError: nearly all points lie at the origin: are they returns at all?
     """
-    problem = _problem_of_units(sweep) if len(sweep) >= _FEWEST else ""
+    problem = _problem_of_units(sweep) if len(sweep) >= _MIN_POINTS else ""
     if problem:
         raise ValueError(problem)
 
 
 def doubts(leveled: LeveledSweep) -> tuple[str, ...]:
-    """Return what a reader should doubt about a sweep, a sentence each; none for most.
+    """Return warnings about implausible properties of a sweep, one sentence each; usually none.
 
     >>> from viewshed import BevGrid, Sweep
     >>> from viewshed.preprocess.leveling import level
@@ -66,7 +66,7 @@ def doubts(leveled: LeveledSweep) -> tuple[str, ...]:
     ()
     """
     sweep = leveled.sweep
-    if len(sweep) < _FEWEST:
+    if len(sweep) < _MIN_POINTS:
         return ()
     units = _problem_of_units(sweep)
     if units:
@@ -77,37 +77,37 @@ def doubts(leveled: LeveledSweep) -> tuple[str, ...]:
     upside_down = _doubt_of_axes(leveled)
     if upside_down:
         return (upside_down,)
-    found = (_doubt_of_height(leveled), _doubt_of_sensor(sweep), _doubt_of_origin(leveled))
-    # What lies wrong by its origin or sensor shows no beams either.
-    return tuple(doubt for doubt in found if doubt) or _doubt_of_beams(leveled)
+    warnings = (_doubt_of_height(leveled), _doubt_of_sensor(sweep), _doubt_of_origin(leveled))
+    # A wrong origin or sensor also explains missing rings, so check these last.
+    return tuple(warning for warning in warnings if warning) or _doubt_of_beams(leveled)
 
 
 def _problem_of_units(sweep: Sweep) -> str:
-    some = sweep.points[:: max(len(sweep) // 4096, 1)].astype(np.float64)
-    half_m, most_m = np.quantile(np.linalg.norm(some, axis=1), (0.5, 0.99))
-    if half_m > _MILLIMETERS_M:
-        middle_m = np.median(some, axis=0)
-        if np.median(np.linalg.norm(some - middle_m, axis=1)) < _MILLIMETERS_M:
-            where = ", ".join(f"{value:.0f}" for value in middle_m)
+    sample = sweep.points[:: max(len(sweep) // 4096, 1)].astype(np.float64)
+    median_m, far_m = np.quantile(np.linalg.norm(sample, axis=1), (0.5, 0.99))
+    if median_m > _MAX_MEDIAN_M:
+        center_m = np.median(sample, axis=0)
+        if np.median(np.linalg.norm(sample - center_m, axis=1)) < _MAX_MEDIAN_M:
+            center = ", ".join(f"{value:.0f}" for value in center_m)
             return (
-                f"the points lie around ({where}) m: are they in a map's coordinates? Subtract the sensor's position"
+                f"the points lie around ({center}) m: are they in a map's coordinates? Subtract the sensor's position"
                 " before they are written, or say with --origin X,Y,Z where it is"
             )
         return (
-            f"half of the points are farther than {half_m:.0f} m: is the file in millimeters or centimeters? Convert it"
-            " to meters"
+            f"half of the points are farther than {median_m:.0f} m: is the file in millimeters or centimeters? Convert"
+            " it to meters"
         )
-    if most_m == 0.0:
+    if far_m == 0.0:
         return "nearly all points lie at the origin: are they returns at all?"
-    if most_m < _KILOMETERS_M:
-        return f"nearly all points are nearer than {most_m:.3f} m: is the file in kilometers? Convert it to meters"
+    if far_m < _MIN_FAR_M:
+        return f"nearly all points are nearer than {far_m:.3f} m: is the file in kilometers? Convert it to meters"
     return ""
 
 
 def _doubt_of_plane(leveled: LeveledSweep) -> str:
-    """Return a sentence where the plane of a 2-D laser is far from level: its scans belong to different heights."""
+    """Return a warning if the plane of a 2-D laser is far from level."""
     tilt_deg = float(np.rad2deg(np.arccos(min(leveled.level_from_sensor.rotation[2, 2], 1.0))))
-    if tilt_deg <= _MOST_TILT_DEG:
+    if tilt_deg <= _MAX_TILT_DEG:
         return ""
     return (
         f"the plane of this 2-D laser is tilted by {tilt_deg:.0f}°, so its view is that of a slanted plane; if it tilts"
@@ -116,7 +116,7 @@ def _doubt_of_plane(leveled: LeveledSweep) -> str:
 
 
 def _doubt_of_axes(leveled: LeveledSweep) -> str:
-    """Return a sentence where ground is found once the sweep is turned upside down, and hardly any as it is."""
+    """Return a warning if the sweep has clear ground only when turned upside down."""
     if leveled.is_sure_of_height:
         return ""
     turned = level(Sweep(leveled.sweep.points * np.array([1, -1, -1], np.float32)), GRIDS["road"])
@@ -147,12 +147,12 @@ def _doubt_of_height(leveled: LeveledSweep) -> str:
         )
     if low_m <= height_m <= high_m:
         return ""
-    found = "is given as" if given else "comes out as"
-    return f"the sensor's height {found} {height_m:.2f} m, outside of {low_m:g} to {high_m:g} m: check --height"
+    verb = "is given as" if given else "comes out as"
+    return f"the sensor's height {verb} {height_m:.2f} m, outside of {low_m:g} to {high_m:g} m: check --height"
 
 
 def _doubt_of_box(leveled: LeveledSweep) -> str:
-    """Return a sentence where the vehicle that is assumed below the sensor swallows all returns."""
+    """Return a warning if all returns lie in the box of the vehicle that is assumed below the sensor."""
     length_m, width_m = EGO_BOX_M
     near_m, _ = range_limits(leveled.sweep)
     x, y, _ = np.abs(leveled.sweep.points[np.linalg.norm(leveled.sweep.points, axis=1) >= near_m]).T
@@ -171,28 +171,29 @@ def _doubt_of_sensor(sweep: Sweep) -> str:
         return _doubt_of_field(sweep, sweep.model)
     azimuth, slope, range_m = polar(sweep.points)
     share = match_beams(slope, range_m, sweep.model).excess
-    # Where elevations gather, a sensor's own beams explain about as much as they do; else it may have moved.
+    # The right beams match about as many returns as the elevation clusters; without clusters (a moving sensor) fewer.
     clusters = find_clusters(azimuth, slope, range_m)
-    if share >= (_NO_MATCH if clusters is None else _MATCH * clusters.sharpness):
+    if share >= (_MIN_MATCH if clusters is None else _MIN_MATCH_RATIO * clusters.sharpness):
         return ""
     return f"the returns do not lie at the beams of {sweep.model.name}: name another --sensor, or none"
 
 
 def _doubt_of_field(sweep: Sweep, model: LidarModel) -> str:
-    """Return a sentence where many returns lie above or below a sensor's field of view."""
+    """Return a warning if many returns lie above or below the sensor's field of view."""
     _, slope, _ = polar(sweep.points)
     low, high = model.elevation[[0, -1]]
-    outside = float(np.mean((np.arctan(slope) < low - _FIELD_SLACK) | (np.arctan(slope) > high + _FIELD_SLACK)))
-    if outside <= _MOST_OUTSIDE:
+    elevation = np.arctan(slope)
+    outside = float(np.mean((elevation < low - _FIELD_TOLERANCE) | (elevation > high + _FIELD_TOLERANCE)))
+    if outside <= _MAX_OUTSIDE:
         return ""
     field = f"{model.name}, {np.rad2deg(low):.0f}° to {np.rad2deg(high):.0f}°"
     return f"{outside:.0%} of the returns lie outside of the field of {field}: name another --sensor, or none"
 
 
 def _doubt_of_beams(leveled: LeveledSweep) -> tuple[str, ...]:
-    """Return a sentence where many points show no rings: then beams without a return are not known."""
+    """Return a warning if a large cloud shows no rings, so that its no-return beams are unknown."""
     sweep = leveled.sweep
-    if sweep.model is not None or leveled.sensor_id.ring is not None or len(sweep) < _MANY:
+    if sweep.model is not None or leveled.sensor_id.ring is not None or len(sweep) < _MANY_POINTS:
         return ()
     return (
         f"no beams can be told apart among {len(sweep)} points, so those without a return are not known and far ground"
@@ -202,7 +203,7 @@ def _doubt_of_beams(leveled: LeveledSweep) -> tuple[str, ...]:
 
 
 def _lies_on_the_ground(sweep: Sweep) -> bool:
-    """Whether no more than a few points lie below the origin."""
+    """Return whether hardly any points lie below the origin."""
     return bool(np.quantile(sweep.points[:, 2], _BELOW_SHARE) > -_BELOW_M)
 
 
@@ -215,7 +216,7 @@ def _doubt_of_origin(leveled: LeveledSweep) -> str:
         )
     if sweep.sensor_height_m is not None or leveled.sensor_height_m > _LOW_M or leveled.sensor_id.model is not None:
         return ""
-    # A low robot's returns gather at its beams; points counted from the axle or the road gather nowhere.
+    # Returns of a low robot form elevation clusters; points relative to the axle or the road do not.
     if find_clusters(*polar(sweep.points)) is not None:
         return ""
     return (

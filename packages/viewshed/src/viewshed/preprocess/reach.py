@@ -1,4 +1,4 @@
-"""Reach: how far a sensor sees, beyond which nothing may be claimed, and the returns beyond its maximum range."""
+"""Reach of a sensor: maximum range of a dark target, beyond which no cell is claimed; returns beyond maximum range."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from viewshed.preprocess.leveling import LeveledSweep
 from viewshed.sensors import LidarModel
 
 USUAL_REACH_M = _core.USUAL_REACH_M
-"""Reach of a sensor that is not known, or whose table has none: the median of the shipped tables.
+"""Reach of a sensor that is unknown or has none in its table: the median of the shipped tables.
 
-Returns tell of the place more than of the sensor: from an embankment whose fields give few returns they show 20 m, from
-an open field 150 m.
+It is not estimated from the returns, which depend on the place more than on the sensor: their range is 20 m on an
+embankment between fields with few returns, 150 m on an open field.
 """
 
 
 def sensing_reach(model: LidarModel | None) -> float:
-    """Return up to which range in meters a sensor sees a dark target: by its table, else the usual reach.
+    """Return the maximum range of a dark target in meters, from the sensor's table, else the usual reach.
 
     >>> from viewshed.sensors import lidar_model
     >>> sensing_reach(lidar_model("os0_128")), sensing_reach(None)
@@ -30,7 +30,7 @@ def sensing_reach(model: LidarModel | None) -> float:
 
 
 def returns_beyond(points: F32, model: LidarModel | None) -> int:
-    """Return how many of the points (N, 3) lie beyond the sensor's maximum range; 0 where it is not known."""
+    """Return the number of points (N, 3) beyond the sensor's maximum range; 0 if the sensor is unknown."""
     if model is None:
         return 0
     squared_m2 = np.einsum("nk,nk->n", points, points)
@@ -38,7 +38,7 @@ def returns_beyond(points: F32, model: LidarModel | None) -> int:
 
 
 def reach_of_sweep(leveled: LeveledSweep) -> float:
-    """Return how far in meters the sensor of a sweep sees a dark target."""
+    """Return the maximum range in meters of a dark target for the sensor of a sweep."""
     model = leveled.sensor_id.model if leveled.sweep.model is None else leveled.sweep.model
     reach_m, planar = sensing_reach(model), leveled.sweep.planar
     return reach_m if planar is None else min(reach_m, planar.max_range_m)

@@ -1,7 +1,7 @@
-"""Which beam and which column each return belongs to: the range image of a sweep, recovered from its points.
+"""Recovery of ring and column of each return from the points of a sweep.
 
-Column 0 starts at azimuth -π (behind the sensor) and columns count counter-clockwise: the middle of column c is at
-``(c + 0.5) * azimuth_step - π``. The column is that of the return itself, not of the firing.
+Column 0 starts at azimuth -π (behind the sensor) and columns count counter-clockwise: the center of column c is at
+``(c + 0.5) * azimuth_step - π``. The column is that of the return's azimuth, not of the firing azimuth.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ from viewshed.sweep import Sweep
 Source = Literal["file", "file order", "beam table", "elevation clusters", "elevation bins"]
 
 _SOURCES: tuple[Source, ...] = ("file", "file order", "beam table", "elevation clusters", "elevation bins")
-"""In the order of the core's ``RingSource``."""
+"""Sources in the order of the core's ``RingSource``."""
 
 DEFAULT_COLUMNS = 1024
-"""Columns of a revolution where neither the points nor a model tell."""
+"""Number of columns of a revolution if neither the points nor a model determine it."""
 
 _NO_BEAMS = np.zeros(0)
 
@@ -31,15 +31,15 @@ _NO_BEAMS = np.zeros(0)
 class RingAssignment:
     """The beam and the column of each return."""
 
-    ring: NDArray[np.int16]  # (N,) int16 beam of each return, 0 the lowest; -1 where no beam explains the return
+    ring: NDArray[np.int16]  # (N,) int16 beam of each return, 0 the lowest; -1 if it matches no beam
     column: NDArray[np.int32]  # (N,) int32 azimuth column of each return, in [0, columns)
-    columns: int  # azimuth columns in a revolution
-    # (rings,) float64 radians: median direction of the beam's returns seen from the sensor's origin; the model's, or
-    # interpolated, for beams without a return
+    columns: int  # number of azimuth columns of a revolution
+    # (rings,) float64 radians: median elevation of the beam's returns from the sensor's origin; for beams without a
+    # return that of the model, or interpolated
     elevation: NDArray[np.float64]
     placed_share: float  # share of the returns that have a beam
-    alone_share: float  # share of the placed returns that are alone in their pixel (ring, column)
-    source: Source  # how the rings were found
+    alone_share: float  # share of these that are the only return of their pixel (ring, column)
+    source: Source  # source of the rings
 
     @property
     def rings(self) -> int:
@@ -57,10 +57,10 @@ def recover_rings(
 ) -> RingAssignment:
     """Return the beam and column of every return of ``sweep``.
 
-    Rings are ``known`` (N,), -1 where no beam explains a return; else they come from the sweep's own ring column; else
-    from the order of the points (ring after ring, as in KITTI files); else from the nearest beam of ``model`` (or the
-    sweep's model), if the elevations gather at its beams; else, without a model, from the elevations at which the
-    returns themselves gather; else from bins of elevation. All but the order do not depend on the order of the points.
+    The rings are the first of these: ``known`` (N,), with -1 for returns that match no beam; the sweep's ring column;
+    the order of the points (ring after ring, as in KITTI files); the nearest beam of ``model`` (or the sweep's model),
+    if the elevations match its beams; without a model, clusters of the elevations; else bins of elevation. Except for
+    recovery from the order, the result does not depend on the order of the points.
 
     >>> points = np.array([[10.0, 1.0, -1.0], [0.0, 10.0, 1.0]])
     >>> recover_rings(Sweep(points, ring=np.array([0, 1]))).ring.tolist()
@@ -83,10 +83,10 @@ def recover_rings(
 
 
 def rings_of_sweep(sweep: Sweep) -> RingAssignment:
-    """Return the beams of ``sweep`` where its rings are known, not guessed from elevations alone.
+    """Return the rings of ``sweep``; elevation bins do not count as rings.
 
     Raises:
-        ValueError: the sweep has no rings, and neither the order of its points nor a sensor's table tells them.
+        ValueError: the sweep has no rings, and none can be recovered.
     """
     beams = recover_rings(sweep)
     if beams.source == "elevation bins":

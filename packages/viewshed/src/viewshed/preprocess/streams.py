@@ -1,4 +1,4 @@
-"""What holds of every stream of sweeps: how many agents are remembered, and when the stream of one begins anew."""
+"""State of streams of sweeps: how many agents are kept, and when the stream of an agent restarts."""
 
 from __future__ import annotations
 
@@ -9,22 +9,22 @@ Key = TypeVar("Key", bound=Hashable)
 Memory = TypeVar("Memory")
 
 AGENTS = 64
-"""Agents that a stream remembers."""
+"""Maximum number of agents of a stream."""
 
 FORGET_S = 10.0
-"""Sweeps from longer before do not help: who stood there has gone. A stream without a sweep for longer begins anew."""
+"""Maximum age of an earlier sweep; older obstacles may have moved. A stream restarts after a longer gap."""
 
 
-def remember(known: dict[Key, Memory], key: Key, memory: Memory, most: int = AGENTS) -> None:
-    """Keep what is remembered of an agent, and forget the agents heard longest ago where there are too many."""
-    known.pop(key, None)
-    known[key] = memory
-    while len(known) > most:
-        del known[next(iter(known))]
+def remember(memories: dict[Key, Memory], key: Key, memory: Memory, max_agents: int = AGENTS) -> None:
+    """Store the memory of an agent as the most recent one; drop the least recent agents beyond ``max_agents``."""
+    memories.pop(key, None)
+    memories[key] = memory
+    while len(memories) > max_agents:
+        del memories[next(iter(memories))]
 
 
 def why_anew(before_ns: int | None, now_ns: int | None, jump_s: float) -> str:
-    """Return why a stream begins anew with a sweep, in a sentence; empty where it goes on, or a time is not known.
+    """Return a sentence that says why a stream restarts with a sweep; empty if it does not, or a time is unknown.
 
     >>> why_anew(10**9, 10**9 + 1, 0.5), why_anew(10**9, 4 * 10**9, 0.5)
     ('', 'time jumped by 3 s: the stream begins anew')
