@@ -7,7 +7,7 @@ Five steps:
 3. run one tracker on the joint detections; its probability of detection is that *any* trusted agent sees the box;
 4. explain by sets of liars (:mod:`viewshed.agents.trust`) each agent's report of each track, its silence where it
   claims to see, and how the agents' views compare (:mod:`viewshed.agents.view_evidence`);
-5. believe a track if it exists under every likely set of liars.
+5. believe a track by its probability of existence, averaged over the sets of liars.
 
 An agent's report about the box of its own vehicle is ignored: it cannot see itself.
 """
@@ -57,10 +57,10 @@ _NOBODY = np.array([0.0, 0.0, np.nan, np.nan])
 """History of an object that an agent has not reported: looks with a report, consecutive looks without one since, and
 surface share and returns at the last report."""
 
-LOOKED_AT = (13, 7)
+SAMPLE_COUNTS = (13, 7)
 """Sample points along and across a box at which views are looked up."""
 
-LEAST_TRUST = 0.05
+MIN_TRUST = 0.05
 """Minimum weight of an agent's detections, kept even when the agent is not trusted at all."""
 
 LOOK_S = 0.5
@@ -70,7 +70,7 @@ FALSE_ODDS = 0.1
 """False joint detections per true one."""
 
 BELIEVED = 0.5
-"""A track is believed from this probability of existence on."""
+"""A track is believed from this probability of existence on, averaged over the sets of liars."""
 
 
 def chances(reports: Sequence[AgentReport], boxes: F64, honest: HonestModel) -> F64:
@@ -125,7 +125,7 @@ class CommonPicture:
     tracks: Tracks  # joint tracks in the world
     verdicts: Verdicts  # on the agents, and on the tracks that at least one agent reports now
     elevated: Mask  # (A,) bool, agents whose sensor looks over the traffic
-    existence: F64  # (N,) probability that each track exists, over all sets of liars
+    existence: F64  # (N,) probability that each track exists, averaged over the sets of liars
     reporters: Mask  # (N, A) bool, agents that report each track now
     # (N, A) bool, agents that claim to see the place of a track that others report now, and do not report it
     deniers: Mask
@@ -135,7 +135,7 @@ class CommonPicture:
 
     @property
     def believed(self) -> Mask:
-        """(N,) bool, tracks that exist whoever lies."""
+        """(N,) bool, tracks whose existence is at least ``BELIEVED``."""
         return np.asarray(self.existence >= BELIEVED)
 
     @property
@@ -226,7 +226,7 @@ class CommandCenter:
         ratio, views = self.honest.withheld_ratio(said), self.honest.views(compared, self._elevated)
         judged = self._judged(ids, said, reports, columns, members, ratio)
         verdicts = self._trust.add(judged, seconds, views, withholding(said, ratio))
-        self._weights, self._last_s = np.maximum(verdicts.trust, LEAST_TRUST), t_s
+        self._weights, self._last_s = np.maximum(verdicts.trust, MIN_TRUST), t_s
         # Update the history per track and agent: looks, and surface share and returns at the last report.
         look, surface = min(seconds / LOOK_S, 1.0), said.cells[..., BoxCells._fields.index("surface")]
         returns = _returns(reports, columns, len(self.agents), members)
@@ -339,7 +339,9 @@ def object_reports(
         visible[in_range, column] = report.view.visible(boxes[in_range])
         # One lookup for the near objects and the agent's own boxes.
         box_cells = SeenCells.of(report.estimate).look(
-            np.concatenate([boxes[in_range], own_boxes[reported]]), report.world_from_level.translation[:2], LOOKED_AT
+            np.concatenate([boxes[in_range], own_boxes[reported]]),
+            report.world_from_level.translation[:2],
+            SAMPLE_COUNTS,
         )
         values = np.column_stack(box_cells)
         cells[in_range, column], own_cells[reported, column] = values[: in_range.sum()], values[in_range.sum() :]
@@ -378,13 +380,13 @@ def match_agents(detections: Sequence[Detections]) -> NDArray[np.int32]:
         offsets = np.abs(centers[:, None] - agent_centers[None])
         benefit = GATE_M - np.hypot(offsets[..., 0], offsets[..., 1])
         matched = assign(np.where(offsets[..., 2] < STORY_M, benefit, -1.0))
-        matched_rows = matched >= 0
-        members[matched_rows, k] = matched[matched_rows]
+        is_matched = matched >= 0
+        members[is_matched, k] = matched[is_matched]
         # An object's center is the mean of its detections.
-        count = (members[matched_rows] >= 0).sum(axis=1, keepdims=True)
-        centers[matched_rows] += (agent_centers[matched[matched_rows]] - centers[matched_rows]) / count
+        count = (members[is_matched] >= 0).sum(axis=1, keepdims=True)
+        centers[is_matched] += (agent_centers[matched[is_matched]] - centers[is_matched]) / count
         is_new = np.ones(len(agent_detections), np.bool_)
-        is_new[matched[matched_rows]] = False
+        is_new[matched[is_matched]] = False
         unmatched = np.flatnonzero(is_new).astype(np.int32)
         new = np.full((len(unmatched), len(detections)), -1, np.int32)
         new[:, k] = unmatched

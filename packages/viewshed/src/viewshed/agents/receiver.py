@@ -33,7 +33,7 @@ SEQUENCES_KEPT = 64
 """Signatures kept per key, the most recent ones, to tell a duplicate from a different message of the same number."""
 
 NUMBERS_PER_S = 1000
-"""Largest increase of a sequence number per second of the agent's clock, plus this much once: no agent sends so often."""
+"""Maximum increase of a sequence number per second of the agent's clock, plus this much once; no agent sends faster."""
 
 MAX_LINKS = 256
 """Maximum number of links with their own budget; beyond it, the least recently used one is evicted."""
