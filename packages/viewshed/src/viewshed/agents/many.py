@@ -127,8 +127,7 @@ class CommonPicture:
     elevated: Mask  # (A,) bool, agents whose sensor looks over the traffic
     existence: F64  # (N,) probability that each track exists, averaged over the sets of liars
     reporters: Mask  # (N, A) bool, agents that report each track now
-    # (N, A) bool, agents that claim to see the place of a track that others report now, and do not report it
-    deniers: Mask
+    deniers: Mask  # (N, A) bool, agents that claim to see the place of a track that others report, and do not
     said: ObjectReports  # what all agents report about the tracks that at least one reports now, in their order
     compared: Comparisons  # comparisons of the views with each other
     notes: tuple[str, ...] = ()  # what was left out, one sentence each
@@ -166,7 +165,7 @@ class CommandCenter:
     _weights: F64 = field(init=False, repr=False)
     _elevated: Mask = field(init=False, repr=False)
     _views: dict[int, ComparedView] = field(default_factory=dict, repr=False)
-    _asked: dict[int, int] = field(default_factory=dict, repr=False)
+    _last_compared: dict[int, int] = field(default_factory=dict, repr=False)
     _times: int = 0
     _last_s: float | None = None
 
@@ -189,7 +188,9 @@ class CommandCenter:
         kept = [self.agents.index(agent) if agent in self.agents else -1 for agent in agents]
         self._trust.regroup(kept)
         self._views = {number: self._views[old] for number, old in enumerate(kept) if old in self._views}
-        self._asked = {number: self._asked[old] for number, old in enumerate(kept) if old in self._asked}
+        self._last_compared = {
+            number: self._last_compared[old] for number, old in enumerate(kept) if old in self._last_compared
+        }
         # kept is -1 for new agents, which selects the appended last element.
         self._weights = np.append(self._weights, 1.0)[kept]
         self._elevated = np.append(self._elevated, False)[kept]
@@ -259,11 +260,11 @@ class CommandCenter:
     def _compared(self, views: dict[int, AgentReport], seconds: float) -> Comparisons:
         """Compare views of some agents in turn, so that the work is bounded at any rate of reports."""
         count = 0 if self.trusting else min(len(views), int(np.ceil(len(views) * seconds / LOOK_S - 1e-6)))
-        compared_agents = sorted(views, key=lambda number: (self._asked.get(number, -1), number))[:count]
+        compared_agents = sorted(views, key=lambda number: (self._last_compared.get(number, -1), number))[:count]
         compared, compared_views = compare_views(views, len(self.agents), self._views, compared_agents)
         self._views |= compared_views
         self._times += 1
-        self._asked |= dict.fromkeys(compared_agents, self._times)
+        self._last_compared |= dict.fromkeys(compared_agents, self._times)
         return compared
 
     def _judged(
@@ -338,11 +339,11 @@ def object_reports(
         able[:, column] = in_range & ~report.is_own(boxes)
         visible[in_range, column] = report.view.visible(boxes[in_range])
         # One lookup for the near objects and the agent's own boxes.
-        box_cells = SeenCells.of(report.estimate).look(
+        lookup_boxes, sensor_xy = (
             np.concatenate([boxes[in_range], own_boxes[reported]]),
             report.world_from_level.translation[:2],
-            SAMPLE_COUNTS,
         )
+        box_cells = SeenCells.of(report.estimate).look(lookup_boxes, sensor_xy, SAMPLE_COUNTS)
         values = np.column_stack(box_cells)
         cells[in_range, column], own_cells[reported, column] = values[: in_range.sum()], values[in_range.sum() :]
         away = np.linalg.norm(boxes[:, None, :2] - agent_boxes[None, :, :2], axis=2)
@@ -367,8 +368,7 @@ def _returns(reports: Sequence[AgentReport], columns: NDArray[np.intp], agents: 
 def match_agents(detections: Sequence[Detections]) -> NDArray[np.int32]:
     """Return which detections of R agents, in the world, are the same object: (J, R) their indices, -1 for none.
 
-    Agents are matched one after the other with the objects found so far, by the smallest total distance within
-    ``GATE_M``.
+    Match agent by agent with the objects found so far, by the smallest total distance within ``GATE_M``.
 
     >>> two = Detections(np.array([[0, 0, 0, 4, 2, 2, 0], [9, 0, 0, 4, 2, 2, 0]]), np.array([3, 3]), np.array([9, 9]))
     >>> match_agents([two, two.take(np.array([1]))]).tolist()
