@@ -17,7 +17,7 @@ from viewshed.fov.estimate import FovEstimate
 from viewshed.grid import BevGrid
 
 LEVELS = 16
-"""Levels of probability: eight below the threshold and eight from it on, so that the set of visible cells stays exact."""
+"""Levels of probability: eight below the threshold and eight from it on, so that visible cells stay exact."""
 
 STD_LEVELS = 8
 """Levels of the standard deviation, each 1/16 wide: a probability has a standard deviation of at most 0.5."""

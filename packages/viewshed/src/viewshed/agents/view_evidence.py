@@ -130,9 +130,7 @@ class ComparedView:
         return (sees - saw) / max(either, 1), (hidden - shown) / max(either, 1)
 
     def misplaced(self, seen_by: NDArray[np.uint32]) -> float:
-        """Return the share of matches with others' surfaces that the claimed pose lacks, relative to the best pose
-        nearby.
-        """
+        """Return the share of matches with others' surfaces that the claimed pose lacks to the best pose nearby."""
         own, pose = _thinned(self.surfaces), self.report.world_from_level
         if len(own) < _MIN_MATCHES:
             return np.nan
