@@ -238,7 +238,7 @@ class ExistenceRules:
         tracks.levels = forget(tracks.levels, float(np.exp(-dt_s / self.doubt_s)) if self.doubt_s > 0.0 else 0.0)
 
     def match(self, tracks: TrackTable, measured: Measured) -> Numbers:
-        """Return the most likely assignment: the maximum sum of log-likelihood ratios (of this track, false detection)."""
+        """Return the most likely assignment: maximum sum of log-likelihood ratios (of this track, false detection)."""
         motion, centers, noise = self.motion, measured.boxes[:, :2], measured.noise
         squared, determinants = squared_distances(tracks.states, tracks.covariances, centers, noise)
         log_density = center_log_density(squared, determinants)
@@ -425,9 +425,7 @@ class Tracker:
         false_odds: F64 | None,
         notes: list[str],
     ) -> Measured:
-        """Return the validated detections with noise and odds, with a note where odds are defaults, or raise
-        ValueError.
-        """
+        """Return the validated detections with noise and odds, a note where odds are defaults, or raise ValueError."""
         count = len(detections)
         if not np.isfinite(t_s):
             raise ValueError(f"t_s must be finite, got {t_s}")
@@ -457,7 +455,7 @@ class Tracker:
         return Measured(detections.boxes, detections.kinds, spread, odds)
 
     def _time_note(self, t_s: float, view: View, notes: list[str]) -> Tracks | None:
-        """Return the last tracks if a sweep is late or repeated; reset if the recording restarted or the frame changed."""
+        """Return the last tracks if a sweep is late or repeated; reset if the recording or the frame changed."""
         last = self._last
         if last is None:
             return None
