@@ -1,4 +1,4 @@
-"""Which detection is of which track: the assignment of greatest total benefit (global nearest neighbor)."""
+"""Association of detections with tracks: the assignment of maximum total benefit (global nearest neighbor)."""
 
 from __future__ import annotations
 
@@ -31,17 +31,17 @@ def assignment_solver() -> Callable[..., tuple[NDArray[Any], NDArray[Any]]]:
 
 
 def assign(benefit: F64) -> Numbers:
-    """Return the number (N,) of each track's detection, -1 for none, so that the total ``benefit`` (N, K) is greatest.
+    """Return the index (N,) of each track's detection, -1 for none, that maximizes the total ``benefit`` (N, K).
 
-    Pairs whose benefit is not positive are never made: it is the benefit over that of leaving both alone.
+    The benefit of a pair is relative to leaving both unmatched; pairs without a positive benefit are never matched.
 
     >>> assign(np.array([[5.0, 4.0, -1.0], [4.5, 0.0, -1.0]])).tolist()
     [1, 0]
     """
-    gained = np.where(benefit > 0.0, benefit, 0.0)
-    rows, columns = assignment_solver()(gained, maximize=True)
+    gain = np.where(benefit > 0.0, benefit, 0.0)
+    rows, columns = assignment_solver()(gain, maximize=True)
     assigned = np.full(len(benefit), -1, np.int32)
-    is_gain = gained[rows, columns] > 0.0
+    is_gain = gain[rows, columns] > 0.0
     assigned[rows[is_gain]] = columns[is_gain]
     return assigned
 
@@ -67,7 +67,7 @@ def volume_overlaps(first: F64, second: F64) -> F64:
 
 
 def inside(points: F64, boxes: F64, margin_m: float = 0.0) -> Mask:
-    """Return which points (K, 2+) lie inside the footprints of which boxes (N, 7), or so far beside: (N, K)."""
+    """Return which points (K, 2+) lie in the footprints of boxes (N, 7) or within a margin around them: mask (N, K)."""
     dx = points[None, :, 0] - boxes[:, 0, None]
     dy = points[None, :, 1] - boxes[:, 1, None]
     cos, sin = np.cos(boxes[:, 6])[:, None], np.sin(boxes[:, 6])[:, None]
@@ -76,7 +76,7 @@ def inside(points: F64, boxes: F64, margin_m: float = 0.0) -> Mask:
 
 
 def no_part_of_earlier(is_part: Mask) -> Mask:
-    """Return which of K boxes (K,) are kept in their order: those in no kept one before; ``is_part`` (K, K) by row."""
+    """Return the mask (K,) of boxes that are in no earlier box that is kept; ``is_part[i, k]`` is whether k is in i."""
     kept = np.ones(len(is_part), np.bool_)
     for k in np.flatnonzero(np.triu(is_part, k=1).any(axis=0)):
         kept[k] = not (is_part[:k, k] & kept[:k]).any()

@@ -104,7 +104,7 @@ def cell_bins(cells: BoxCells, found: F64) -> Columns:
 
 
 def cell_ratios(weights: F64, bins: Columns) -> F64:
-    """Return the ratio (K,) forged : honest of boxes with bins (K, F), from the sum of their weights; 1 for ``BLIND``."""
+    """Return the ratio (K,) forged : honest of boxes with bins (K, F), by their summed weights; 1 for ``BLIND``."""
     total = weights[-1] + weights[bins].sum(axis=1)
     return np.where(bins[:, 0] == BLIND, 1.0, np.exp(np.clip(total, -np.log(CAP), np.log(CAP))))
 

@@ -174,7 +174,7 @@ class SingleFusion:
         return tracks.joined(carried_over), memory.joined(self._memory.take(given_up))
 
     def _still_there(self, tracks: Tracks, look: _Look, is_matched: Mask, views: Sequence[SensorView]) -> F64:
-        """Return the ratio gone : still there (N,) by the cells at the track, or at the nearest surface if that fits
+        """Return the ratio gone : still there (N,) by the cells at the track, or at the nearest surface if it fits
         better.
         """
         ratio = look.ratio.copy()
