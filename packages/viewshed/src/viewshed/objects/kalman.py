@@ -157,12 +157,10 @@ def inverse(matrices: F64) -> tuple[F64, F64]:
 
 
 def update_boxes(boxes: F64, variances: F64, measured: F64, noise_std: F64) -> tuple[F64, F64]:
-    """Return z, sizes and yaw (M, 5) and their variances, updated by detections (M, 5) that may be off by quarter
-    turns.
+    """Return z, sizes and yaw (M, 5) and their variances, updated by detections (M, 5) up to quarter turns.
 
-    A detector that sees two sides of a box knows neither front from back nor, but for their lengths, end from side. A
-    box with exchanged length and width and a quarter turn of yaw is the same box, so the nearest turn of each detection
-    is used.
+    A detector that sees two sides of a box cannot tell which one is the front. A box with length and width exchanged
+    and a quarter turn of yaw is the same box, so the nearest turn of each detection is used.
     """
     turns = np.round((boxes[:, 4] - measured[:, 4]) / (np.pi / 2))
     measured = quarter_turned(measured, turns)

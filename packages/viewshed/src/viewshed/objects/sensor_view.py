@@ -51,7 +51,7 @@ Observed = tuple[Tracks, Detections, Sequence[SensorView]]
 
 
 def check_views(tracks: Tracks, views: Sequence[SensorView]) -> None:
-    """Raise ValueError unless views match the tracks' time and frame, sensors are distinct, and tracks are few enough."""
+    """Raise ValueError unless views match the tracks' time and frame, sensors are distinct, and tracks are few."""
     if len(tracks) > MAX_TRACKS:
         raise ValueError(f"tracks must be at most {MAX_TRACKS} in one message, got {len(tracks)}")
     names = [view.sensor for view in views]

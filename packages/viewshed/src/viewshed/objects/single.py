@@ -174,9 +174,7 @@ class SingleFusion:
         return tracks.joined(carried_over), memory.joined(self._memory.take(given_up))
 
     def _still_there(self, tracks: Tracks, look: _Look, is_matched: Mask, views: Sequence[SensorView]) -> F64:
-        """Return the ratio gone : still there (N,) by the cells at the track, or at the nearest surface if it fits
-        better.
-        """
+        """Return the ratio gone : still there (N,) by the cells at the track, or at the nearest surface if better."""
         ratio = look.ratio.copy()
         unmatched, cells = np.flatnonzero(~is_matched), views[0].cells
         if cells is not None and len(unmatched):
