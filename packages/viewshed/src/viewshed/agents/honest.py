@@ -38,8 +38,7 @@ from viewshed.objects.cells import BoxCells
 from viewshed.objects.log_ratios import CELL_BOUNDS, Bins, Columns, Weights, counted, evenly
 
 MIN_SEEN, SEEN_AT_0_M, SEEN_PER_M = 0.5, 0.43, 0.008
-"""An agent is expected to see an object from this probability of visible on: the maximum of the first and of a line in
-range (value at 0 m, slope per meter)."""
+"""Minimum probability of visible to expect a report: maximum of a constant and a line (at 0 m, per meter of range)."""
 
 NO_DETECTION_M = 99.0
 """Distance to the next detection of an agent without another one."""
@@ -51,8 +50,7 @@ KNOWN = 2
 """An agent knows, and can withhold, an object that it reported at this many looks."""
 
 WITHHELD_SHARES, WITHHELD_PRIOR = (0.05, 0.2, 0.5), 0.03
-"""Equally likely shares of its objects that a withholding agent withholds, and prior probability that any one is
-withheld."""
+"""Equally likely shares of withheld objects, and prior probability that an object is withheld."""
 
 MAX_OTHERS, MAX_DENIERS = 4, 2
 """Caps on the numbers of other agents that report an object and that deny it."""
@@ -93,8 +91,7 @@ class ObjectReports:
     """Reports of A agents about J objects at one time, and what their views claim there."""
 
     seen: Mask  # (J, A) bool, agents that report the object
-    # (J, A) bool, agents that could: they report now, and the object is near, on their level and not their own vehicle
-    able: Mask
+    able: Mask  # (J, A) bool, agents that report now, with the object near, on their level, not their own vehicle
     visible: F64  # (J, A) probability that the object could be seen, by the agent's view
     range_m: F64  # (J, A) from the agent's sensor
     height: NDArray[np.int64]  # (A,) height class of its sensor: 0 among the traffic, 1 above it, 2 on a tall mast
@@ -151,9 +148,7 @@ class ObjectReports:
 
 
 def is_expected(visible: F64, range_m: F64) -> Mask:
-    """Return whether an honest agent with probabilities of visible (…,) at ranges (…,) is expected to see an object.
-
-    Only then does its silence deny the object.
+    """Return where silence at visibility (…,) and range (…,) denies an object, because an honest agent would see it.
 
     >>> is_expected(np.array([0.6, 0.6]), np.array([10.0, 40.0])).tolist()
     [True, False]
@@ -399,8 +394,8 @@ class HonestExamples:
         judged = (reports.able | reports.seen) & (reporters > 0)
         places, reporter_count = _summed(*place_columns(reports), reports.silent_now), reports.seen.sum(axis=1)
         own = own_box_columns(reports)
-        elsewhere_columns = own_box_columns(elsewhere)[0][elsewhere.seen]
-        elsewhere_places = _summed(*place_columns(elsewhere), elsewhere.silent_now)
+        made_up = own_box_columns(elsewhere)[0][elsewhere.seen]
+        made_up_places = _summed(*place_columns(elsewhere), elsewhere.silent_now)
         alone = reporter_count == 1
         silences = []
         for own_view in (True, False):
@@ -411,11 +406,9 @@ class HonestExamples:
         return cls(
             _labeled(np.stack(objects.bins, axis=-1)[objects.able], objects.seen[objects.able]),
             _labeled(counted(columns[judged], _counts()["reported"]), reports.seen[judged]),
-            _contrasted(places[alone], elsewhere_places),
-            _contrasted(places[reporter_count > 1], elsewhere_places),
-            _contrasted(
-                *(counted(rows, own[1]) for rows in (own[0][reports.seen & alone[:, None]], elsewhere_columns))
-            ),
+            _contrasted(places[alone], made_up_places),
+            _contrasted(places[reporter_count > 1], made_up_places),
+            _contrasted(*(counted(rows, own[1]) for rows in (own[0][reports.seen & alone[:, None]], made_up))),
             _labeled(np.concatenate([places, _summed(*own, reports.seen)], axis=1), is_object),
             _contrasted(
                 *(counted(rows, own[1]) for rows in (own[0][reports.seen], own_box_columns(moved)[0][moved.seen]))

@@ -22,8 +22,7 @@ class JointFov:
     grid: BevGrid  # cells, relative to ``world_from_grid``
     world_from_grid: Rigid  # pose of the grid
     agents: tuple[str, ...]  # names of the agents
-    # (cells, cells) probability that at least one trusted agent sees a target there; below the threshold where no agent
-    # claims to
+    # (cells, cells) probability that a trusted agent sees a target there; below the threshold where none claims to
     visible_prob: NDArray[np.float32]
     seen_by: NDArray[np.uint8]  # (cells, cells) uint8, number of agents that claim to see the cell
     # (cells, cells) int8 index of the agent with the highest probability, -1 where none sees the cell
@@ -45,8 +44,7 @@ def joint_fov(
 ) -> JointFov:
     """Return the joint field of view of views with poses, each weighted by the trust (A,) in its agent.
 
-    An agent cannot claim cells by a low threshold of its own, or by a probability in cells that it calls HIDDEN or
-    UNKNOWN.
+    A low threshold of an agent's own, or a probability in cells that it calls HIDDEN or UNKNOWN, claims nothing.
 
     Raises:
         ValueError: a view has no pose, or the number of trust values differs.

@@ -75,16 +75,14 @@ BELIEVED = 0.5
 
 def chances(reports: Sequence[AgentReport], boxes: F64, honest: HonestModel) -> F64:
     """Return the probability (K, R) that each of R agents, if honest, reports each box (K, 7) of the world."""
-    probabilities = np.zeros((len(boxes), len(reports)))
+    probs = np.zeros((len(boxes), len(reports)))
     for column, report in enumerate(reports):
         range_m = report.range_m(boxes)
         near = np.flatnonzero(range_m <= FAR_M)
         near = near[~report.is_own(boxes[near]) & report.on_its_level(boxes[near])]
-        near_boxes = boxes[near]
-        probabilities[near, column] = honest.chance(
-            report.view.visible(near_boxes), near_boxes, range_m[near], height=report.height
-        )
-    return probabilities
+        targets = boxes[near]
+        probs[near, column] = honest.chance(report.view.visible(targets), targets, range_m[near], height=report.height)
+    return probs
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -165,7 +163,7 @@ class CommandCenter:
     _weights: F64 = field(init=False, repr=False)
     _elevated: Mask = field(init=False, repr=False)
     _views: dict[int, ComparedView] = field(default_factory=dict, repr=False)
-    _last_compared: dict[int, int] = field(default_factory=dict, repr=False)
+    _last_turn: dict[int, int] = field(default_factory=dict, repr=False)
     _times: int = 0
     _last_s: float | None = None
 
@@ -188,9 +186,7 @@ class CommandCenter:
         kept = [self.agents.index(agent) if agent in self.agents else -1 for agent in agents]
         self._trust.regroup(kept)
         self._views = {number: self._views[old] for number, old in enumerate(kept) if old in self._views}
-        self._last_compared = {
-            number: self._last_compared[old] for number, old in enumerate(kept) if old in self._last_compared
-        }
+        self._last_turn = {number: self._last_turn[old] for number, old in enumerate(kept) if old in self._last_turn}
         # kept is -1 for new agents, which selects the appended last element.
         self._weights = np.append(self._weights, 1.0)[kept]
         self._elevated = np.append(self._elevated, False)[kept]
@@ -260,11 +256,11 @@ class CommandCenter:
     def _compared(self, views: dict[int, AgentReport], seconds: float) -> Comparisons:
         """Compare views of some agents in turn, so that the work is bounded at any rate of reports."""
         count = 0 if self.trusting else min(len(views), int(np.ceil(len(views) * seconds / LOOK_S - 1e-6)))
-        compared_agents = sorted(views, key=lambda number: (self._last_compared.get(number, -1), number))[:count]
+        compared_agents = sorted(views, key=lambda number: (self._last_turn.get(number, -1), number))[:count]
         compared, compared_views = compare_views(views, len(self.agents), self._views, compared_agents)
         self._views |= compared_views
         self._times += 1
-        self._last_compared |= dict.fromkeys(compared_agents, self._times)
+        self._last_turn |= dict.fromkeys(compared_agents, self._times)
         return compared
 
     def _judged(
@@ -335,17 +331,15 @@ def object_reports(
         reported = reported & ~report.is_own(boxes)
         height[column], seen[:, column] = report.height, reported
         range_m[:, column] = own_range_m = report.range_m(boxes)
-        in_range = (own_range_m <= FAR_M) & (own_range_m >= report.blind_m) & report.on_its_level(boxes)
-        able[:, column] = in_range & ~report.is_own(boxes)
-        visible[in_range, column] = report.view.visible(boxes[in_range])
+        near = (own_range_m <= FAR_M) & (own_range_m >= report.blind_m) & report.on_its_level(boxes)
+        able[:, column] = near & ~report.is_own(boxes)
+        visible[near, column] = report.view.visible(boxes[near])
         # One lookup for the near objects and the agent's own boxes.
-        lookup_boxes, sensor_xy = (
-            np.concatenate([boxes[in_range], own_boxes[reported]]),
-            report.world_from_level.translation[:2],
+        box_cells = SeenCells.of(report.estimate).look(
+            np.concatenate([boxes[near], own_boxes[reported]]), report.world_from_level.translation[:2], SAMPLE_COUNTS
         )
-        box_cells = SeenCells.of(report.estimate).look(lookup_boxes, sensor_xy, SAMPLE_COUNTS)
         values = np.column_stack(box_cells)
-        cells[in_range, column], own_cells[reported, column] = values[: in_range.sum()], values[in_range.sum() :]
+        cells[near, column], own_cells[reported, column] = values[: near.sum()], values[near.sum() :]
         away = np.linalg.norm(boxes[:, None, :2] - agent_boxes[None, :, :2], axis=2)
         away[np.flatnonzero(members[:, k] >= 0), members[members[:, k] >= 0, k]] = NO_DETECTION_M
         apart_m[:, column] = away.min(axis=1, initial=NO_DETECTION_M)

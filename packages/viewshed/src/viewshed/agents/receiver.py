@@ -1,8 +1,7 @@
 """Accept or refuse incoming messages: bounded work per message, and a counted reason for each refusal.
 
-Size, format, key, age, sequence number and rate are checked before the signature, and no state of the sender changes
-before the signature is verified: a forger can neither use up an honest agent's rate limit nor advance its sequence
-number.
+Size, format, key, age, sequence number and rate are checked before the signature, and no state changes before it is
+verified: a forger can neither use up an honest agent's rate limit nor advance its sequence number.
 """
 
 from __future__ import annotations
@@ -299,8 +298,7 @@ class Receiver:
         """Advance the monotonic time of rates and budgets; it stands still while the clock is set back."""
         self._passed_ns += 0 if self._now_ns is None else max(0, now_ns - self._now_ns)
         self._now_ns = now_ns
-        # If the clock was set back before the start, move the start: otherwise every message is refused until it
-        # catches up.
+        # Clock set back before the start: move the start, or all messages are refused until the clock catches up.
         self._start_ns = now_ns if self._start_ns is None else min(self._start_ns, now_ns)
 
     def _link(self, link: str) -> Bucket | None:

@@ -26,8 +26,7 @@ OWN_SIZE_M = (4.8, 2.0, 1.6)
 """Assumed length, width and height of the own vehicle of an agent with a low sensor."""
 
 ELEVATED_M, TALL_M = 4.0, 10.0
-"""Sensor heights in meters: from the first on a sensor looks over cars; from the second on it is on a tall mast, with
-errors of its own."""
+"""Minimum sensor heights in meters: to look over cars, and to count as a tall mast, with errors of its own."""
 
 HEIGHTS = 3
 """Number of height classes of a sensor: among the traffic, above it, on a tall mast."""

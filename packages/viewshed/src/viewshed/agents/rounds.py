@@ -1,16 +1,14 @@
 """Group incoming reports of several agents into rounds, and fuse each round in a command center.
 
-A round holds at most one report of each agent, all of about the same time by the center's clock.
+A round holds at most one report of each agent, all of about the same time by the center's clock. Each agent's clock
+offset is estimated as the largest lead of its recent time stamps over their arrival (network delay only shrinks the
+lead), and subtracted. A clock behind by at most half of ``slop_s`` is taken as right, because the reports may be
+delayed. A longer, constant delay looks like a clock that is behind: if no open round matches the corrected time of a
+report, it is matched by its stated time. A corrected time is never later than the arrival, so that an agent with a
+manipulated clock makes only its own reports late.
 
-*Clock offsets.* Each agent's clock offset is estimated as the largest lead of its recent time stamps over their arrival
-(network delay only shrinks the lead), and subtracted. A clock that is behind by at most half of ``slop_s`` may be right
-and its reports delayed: it is taken as right. A longer, constant delay looks like a clock that is behind: if no open
-round matches the corrected time of such a report, it is matched by its stated time. A corrected time is never later
-than the arrival, so that an agent with a manipulated clock makes only its own reports late.
-
-*End of a round.* A round ends when all live agents have reported, when most of them have reported a later time, or by
-timeout. A live agent without a report in it is *missing*, which raises an alarm: others can expose a liar only if their
-reports arrive.
+A round ends when all live agents have reported, when most of them have reported a later time, or by timeout. A live
+agent without a report in it is *missing*, which is an alarm: others can expose a liar only if their reports arrive.
 """
 
 from __future__ import annotations
@@ -57,8 +55,7 @@ MAX_OPEN = 64
 """Maximum number of open rounds, so that an agent that repeats one time cannot fill the memory."""
 
 MAX_CELLS, MAX_COARSENING = 512, 4.0
-"""Maximum number of cells along a side of the joint field of view, and maximum ratio of their size to that of the
-views' cells."""
+"""Maximum number of cells per side of the joint field of view, and of their size relative to the views' cells."""
 
 WHY = {
     "reports": "its reports contradict the others",
@@ -385,9 +382,8 @@ class Rounds:
     def _nearest(self, agent: str, t_s: float, *, stated: bool) -> _OpenRound | None:
         """Return the nearest open round within the slop that lacks an agent; of those about as near, the fullest.
 
-        So an agent that reports often, and opens many rounds, draws no others into them. Nearness is measured to the
-        nearest report of a round: of two reports a single agent determines half of the median, and could split honest
-        agents of one time.
+        So an agent that reports often, and opens many rounds, draws no others into them. Nearness is to the nearest
+        report of a round: one agent could move the median of two reports and so split honest agents.
         """
 
         def apart_s(each: _OpenRound) -> float:

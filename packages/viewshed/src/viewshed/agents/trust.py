@@ -6,14 +6,13 @@ an object and a fourth denies it, the fourth alone is the best explanation. If t
 could see, both explanations are about as likely, and nobody is accused: they are *disputed*.
 
 **Objects.** Reports of honest agents follow :mod:`viewshed.agents.honest`: the probability to report what other honest
-agents report or deny, how well the box fits the surfaces of the agent's own view (*displaced*), and how well its
-position agrees with the others'. Each agent is judged given the other honest ones: a pseudo-likelihood (Besag, 1975).
-Whether the place of an object that honest agents report is made up is judged once, by the views of the agents that
-could report it and are silent: where three claim free ground, the one that reports a car lies; where three report a
-car, the one that claims free ground does. A liar may forge its own view to agree with its lies, so that agreement
-counts within a bound only. About an object that it lies about, a liar first reports or is silent with equal
-probability, and then mostly repeats itself (:attr:`TrustRules.keeps`). The share of objects that it lies about is
-unknown: all of :attr:`TrustRules.lies` are equally likely.
+agents report or deny, how well the box fits the surfaces of its own view (*displaced*), and how well its position
+agrees with the others'. Each agent is judged given the other honest ones: a pseudo-likelihood (Besag, 1975). Whether
+honest reports of an object are *made up* is judged once, by the views of agents that could report it and are silent:
+where three claim free ground, the one that reports a car lies; where three report a car, the one that claims free
+ground does. A liar may forge its own view to agree with its lies, so this agreement is bounded. About an object, a liar
+first reports or is silent with equal probability, and then mostly repeats itself (:attr:`TrustRules.keeps`). The share
+of objects that it lies about is unknown: all of :attr:`TrustRules.lies` are equally likely.
 
 **Views.** If two views fail a comparison (:mod:`viewshed.agents.view_evidence`) that honest views hardly ever fail,
 this supports all hypotheses in which one of the two lies. If a view fails a comparison with its own past or with all
@@ -157,8 +156,7 @@ class Verdicts:
     ids: NDArray[np.int64]  # (J,) of the objects of the last reports
     existence: F64  # (J,) probability that each exists, averaged over the hypotheses
     suspects: Mask  # (A,) bool, liars of the best hypotheses (within one nat) with the fewest liars
-    # (A, A) nats that comparisons of two views speak against both; on the diagonal, against one view alone
-    against: F64
+    against: F64  # (A, A) nats against both of two agents by comparing their views; on the diagonal, against one view
     answers: F64  # (A, 5) maximum in nats over the last ``SCENE_S`` of each kind of evidence, by ``QUESTIONS``
 
 
@@ -256,11 +254,9 @@ class Trust:
         self._of_objects = {number: evidence for number, evidence in faded.items() if np.ptp(evidence) > 1e-3}
         begins, nothing = weight * self.rules.begins, np.zeros(len(self._lies))
         new, kept = weight * self._likelihoods(reports), weight * self._kept(reports)
-        for number, logs, continued in zip(reports.ids.tolist(), new, kept, strict=True):
+        for number, logs, keep in zip(reports.ids.tolist(), new, kept, strict=True):
             # Relative to "nobody lies". A lie goes on or begins now (Shiryaev, 1963): earlier honesty is no excuse.
-            evidence = np.logaddexp(
-                self._of_objects.get(number, nothing) + np.log1p(-begins) + continued, np.log(begins)
-            )
+            evidence = np.logaddexp(self._of_objects.get(number, nothing) + np.log1p(-begins) + keep, np.log(begins))
             evidence[0] = 0.0
             self._of_objects[number] = evidence + logs - logs[0]
         if views is not None:
@@ -303,10 +299,8 @@ class Trust:
     def _kept(self, reports: Reports) -> F64:
         """Return the log-ratio (J, H) of the liars' reports if their lie goes on over if it begins now."""
         # Indexed by ``repeats``: 0 first look, 1 repeated, -1 changed.
-        log_ratios = np.array([0.0, np.log(2.0 * self.rules.keeps), np.log(2.0 - 2.0 * self.rules.keeps)])[
-            reports.repeats
-        ]
-        kept: F64 = np.where(reports.able | reports.seen, log_ratios, 0.0) @ self._lies.T.astype(np.float64)
+        logs = np.array([0.0, np.log(2.0 * self.rules.keeps), np.log(2.0 - 2.0 * self.rules.keeps)])[reports.repeats]
+        kept: F64 = np.where(reports.able | reports.seen, logs, 0.0) @ self._lies.T.astype(np.float64)
         return kept
 
     def _made_up(self, reports: Reports, reporters: Mask) -> F64:
@@ -490,11 +484,9 @@ class TrustLimits:
         return verdicts.suspects & ~accused if somebody else np.zeros_like(verdicts.suspects)
 
     def _check(self, rate: float) -> None:
-        min_scenes = int(np.ceil(1.0 / rate - 1e-9)) - 1 if 0 < rate < 1 else -1
-        if min_scenes < 0 or len(self.doubt) < min_scenes:
-            raise ValueError(
-                f"rate must be in (0, 1), and {rate:g} needs {min_scenes} benign scenes, got {len(self.doubt)}"
-            )
+        need = int(np.ceil(1.0 / rate - 1e-9)) - 1 if 0 < rate < 1 else -1
+        if need < 0 or len(self.doubt) < need:
+            raise ValueError(f"rate must be in (0, 1), and {rate:g} needs {need} benign scenes, got {len(self.doubt)}")
 
 
 def _scale_of(answers: F64, elevated: Mask) -> tuple[F64, F64]:

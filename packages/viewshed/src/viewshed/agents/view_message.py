@@ -95,8 +95,7 @@ class ViewMessage:
     # ground heights in ``level``, or None; the receiver gets ``GROUND_NODES`` per side, rounded to a centimeter
     ground: HeightMap | None = None
     detections: Detections | None = None  # objects of this sweep in ``level``, or None
-    # monitor's report on the sweep, or None; reasons and suspect cells are not sent
-    report: IntegrityReport | None = None
+    report: IntegrityReport | None = None  # monitor's report, or None; reasons and suspect cells are not sent
     # number of the agent's start, greater at each: milliseconds since 1970 at the start, or a counter in a file.
     # Sequence numbers restart with each epoch.
     epoch: int = 0

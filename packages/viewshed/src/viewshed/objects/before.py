@@ -29,8 +29,7 @@ _SURFACE_WEIGHT = 5.0
 """Weight of surface against free cells: most of a car's box is free or hidden, only its near side is a surface."""
 
 _MIN_SURFACE, _LOST_SHARE = 0.03, 0.3
-"""Minimum share of surface in a followed box, and the part of the latest share below which the surface counts as lost;
-lost twice in a row ends the pursuit."""
+"""Minimum surface share of a followed box, and part of the last share below which, twice in a row, it is lost."""
 
 _MIN_LENGTH_M = 3.0
 """Minimum length of a followed box: the surface of a person is lost at times."""

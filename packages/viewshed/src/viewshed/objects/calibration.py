@@ -107,10 +107,8 @@ def count_drive(drive: Iterable[Observed], counts: EvidenceCounts, rng: np.rando
             counts.cells["honest"].append(cell_evidence(boxes, kinds, view)[1])
             forged_cells, forged_bins = cell_evidence(elsewhere, kinds, view)
             counts.cells["forged"].append(forged_bins)
-        # Update the sightings; those of a moved track jump at its latest positions.
-        sightings = sightings.joined(Sightings.none(1)).take(
-            rows_of(tracks.ids, ids)
-        )  # index -1, the appended row, is that of new tracks
+        # Index -1, the appended row, is that of new tracks.
+        sightings = sightings.joined(Sightings.none(1)).take(rows_of(tracks.ids, ids))
         ids = tracks.ids
         rows = np.flatnonzero(is_matched)
         sightings = sightings.after(rows, tracks.t_s, boxes[:, :2])
@@ -126,14 +124,10 @@ def count_drive(drive: Iterable[Observed], counts: EvidenceCounts, rng: np.rando
             )  # fmt: skip
             counts.add("birth", birth_bins(births[0]), birth_bins(births[1]))
         length, azimuth = rng.uniform(*_FALSE_JUMPS_M, len(rows)), rng.uniform(-np.pi, np.pi, len(rows))
-        detected_sightings = sightings.take(rows)
-        places = detected_sightings.places.copy()
+        detected = sightings.take(rows)
+        places = detected.places.copy()
         places[:, -LATEST:] += np.stack([length * np.cos(azimuth), length * np.sin(azimuth)], axis=-1)[:, None]
-        counts.add(
-            "jump",
-            jump_bins(detected_sightings.jumps()[0]),
-            jump_bins(Sightings(detected_sightings.times, places).jumps()[0]),
-        )
+        counts.add("jump", jump_bins(detected.jumps()[0]), jump_bins(Sightings(detected.times, places).jumps()[0]))
         before.add(tracks.t_s, view.cells)
 
 

@@ -135,9 +135,7 @@ def detection_table() -> DetectionTable:
 
 
 def _between(values: F64, at: F64) -> tuple[NDArray[np.intp], F64]:
-    """Return the class (K,) at or below each value, never the last, and the fraction (K,) in [0, 1] of the way to the
-    next.
-    """
+    """Return the class (K,) at or below each value, never the last, and the fraction (K,) toward the next one."""
     lower = np.clip(np.searchsorted(at, values, "right") - 1, 0, len(at) - 2)
     share: F64 = np.clip((values - at[lower]) / (at[lower + 1] - at[lower]), 0.0, 1.0)
     return lower, share

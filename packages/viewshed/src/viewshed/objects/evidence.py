@@ -1,10 +1,9 @@
 """Evidence against tracks: likelihood ratios counted on benign drives, and e-values that combine them over time.
 
 Each sweep gives three likelihood ratios of a track against *this track is honest*: that it is fabricated, that its
-detections are removed, that it is moved. They compare how often a value occurs on benign drives with how often it
-occurs on the same drives with the track put elsewhere; for the cells in a box they are weights of evidence (Good, 1985)
-by logistic regression. A ratio has mean 1 on honest tracks, so it is an e-value (Vovk and Wang, 2021, arXiv
-1912.06116).
+detections are removed, that it is moved. They compare how often a value occurs on benign drives and on the same
+drives with the track put elsewhere; for the cells in a box they are weights of evidence (Good, 1985) by logistic
+regression. A ratio has mean 1 on honest tracks, so it is an e-value (Vovk and Wang, 2021, arXiv 1912.06116).
 
 Two kinds of evidence combine differently over time.
 
@@ -46,8 +45,7 @@ CAP = 300.0
 """Maximum of a ratio and of its inverse, because rare bins of a table are not known better."""
 
 _BOUNDS = CELL_BOUNDS | {"range_m": (8.0, 15.0, 25.0, 35.0), "found": (0.05, 0.5, 0.85, 0.95)}
-"""Bin edges of the features of a box: those of ``BoxCells``, and ``found``, the detection probability of an object
-there."""
+"""Bin edges of the features of a box: ``BoxCells``, and ``found``, the detection probability of an object."""
 
 BOX_FEATURES: tuple[tuple[str, ...], ...] = (
     ("surface", "found"), ("surface", "range_m"), ("free", "range_m"), ("ring",), ("ring_free",), ("near_free",),

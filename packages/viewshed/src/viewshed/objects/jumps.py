@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from viewshed.arrays import F64
 
 LATEST, EARLIER, MIN_EARLIER = 3, 12, 5
-"""Number of latest detections, whose mean is compared, of earlier ones, which are extrapolated, and the minimum of
-those."""
+"""Number of latest detections (compared), of earlier ones (extrapolated), and the minimum of the latter."""
 
 _MAX_LATEST_S = 1.0
 """Maximum duration of the latest detections; in a longer one nothing is sudden."""

@@ -26,9 +26,8 @@ class Motion:
     center_std_m: float = 0.6  # of a detection's center along x and y, if the detector gives no covariance
     # standard deviation of z, length, width, height (meters) and yaw (radians) per root of a second
     box_drift: tuple[float, float, float, float, float] = (0.2, 0.1, 0.1, 0.05, 0.3)
-    # measurement standard deviations of the same five values
-    box_std: tuple[float, float, float, float, float] = (0.2, 0.5, 0.3, 0.2, 0.2)
-    # of the same five values of a new track; None takes ``box_std``
+    box_std: tuple[float, float, float, float, float] = (0.2, 0.5, 0.3, 0.2, 0.2)  # of the same values of a detection
+    # of the same values of a new track; None takes ``box_std``
     new_box_std: tuple[float, float, float, float, float] | None = None
     heading_from_mps: float = 2.0  # from this speed on the heading is the quarter turn nearest to the velocity
     standing_share: float = 0.0  # prior share of standing objects, to judge missed tracks by; 0 disables it

@@ -176,13 +176,11 @@ class SingleFusion:
     def _still_there(self, tracks: Tracks, look: _Look, is_matched: Mask, views: Sequence[SensorView]) -> F64:
         """Return the ratio gone : still there (N,) by the cells at the track, or at the nearest surface if better."""
         ratio = look.ratio.copy()
-        unmatched, cells = np.flatnonzero(~is_matched), views[0].cells
-        if cells is not None and len(unmatched):
-            boxes = tracks.boxes[unmatched].copy()
+        missed, cells = np.flatnonzero(~is_matched), views[0].cells
+        if cells is not None and len(missed):
+            boxes = tracks.boxes[missed].copy()
             boxes[:, :2] += cells.shifts(boxes)
-            ratio[unmatched] = np.minimum(
-                ratio[unmatched], _look(boxes, tracks.kinds[unmatched], views, self.model).ratio
-            )
+            ratio[missed] = np.minimum(ratio[missed], _look(boxes, tracks.kinds[missed], views, self.model).ratio)
         return ratio
 
 
@@ -243,15 +241,10 @@ def _look(boxes: F64, kinds: NDArray[np.uint8], views: Sequence[SensorView], mod
         if view.cells is None:
             ratio, speaks = ratios_of(model.view, view_bins(view.view.visible(boxes))), np.ones(count, np.bool_)
         else:
-            box_cells, bins = cell_evidence(boxes, kinds, view)
+            cells, bins = cell_evidence(boxes, kinds, view)
             ratio, speaks = cell_ratios(np.array(model.weights), bins), bins[:, 0] != BLIND
             if number == 0:
-                shares = (
-                    box_cells.surface,
-                    box_cells.free,
-                    box_cells.hidden,
-                    1.0 - box_cells.surface - box_cells.free - box_cells.hidden,
-                )
+                shares = cells.surface, cells.free, cells.hidden, 1.0 - cells.surface - cells.free - cells.hidden
         total += np.where(speaks, ratio, 0.0)
         speaking_views += speaks
     return _Look(np.where(speaking_views > 0, total / np.maximum(speaking_views, 1), 1.0), *shares)

@@ -261,11 +261,9 @@ class ExistenceRules:
         shares = shares_found(tracks.visible * tracks.detectable, self.most_found)
         prob_found = found_probability(tracks.levels, shares)
         density, clutter = np.zeros(len(tracks)), np.ones(len(tracks))
-        matched_detections = measured.take(matched[is_hit])
-        density[is_hit] = _densities(
-            tracks.states[is_hit], tracks.covariances[is_hit], matched_detections, self.motion
-        ).sum(axis=0)
-        clutter[is_hit] = self._clutter_per_m2(matched_detections)
+        hits = measured.take(matched[is_hit])
+        density[is_hit] = _densities(tracks.states[is_hit], tracks.covariances[is_hit], hits, self.motion).sum(axis=0)
+        clutter[is_hit] = self._clutter_per_m2(hits)
         priors = tracks.existence, tracks.lasting, prob_found
         hit = after_detection(*priors, density, clutter, self.recurrence)
         miss = after_miss(*priors, self.recurrence)
@@ -279,8 +277,7 @@ class ExistenceRules:
     ) -> TrackTable:
         """Return the new tracks, with their existence by whether they could have come unseen.
 
-        A detection inside the box of a track detected in this sweep, or of another new track, is a part of it and
-        starts none.
+        A detection in the box of a detected track or of another new one is a part of it and starts no track.
         """
         is_part = inside(born.boxes, tracks.boxes[tracks.detection >= 0]).any(axis=0)
         begins = ~is_part & no_part_of_earlier(inside(born.boxes, born.boxes))
@@ -390,15 +387,13 @@ class Tracker:
         _update(tracks, t_s, measured, matched, motion)
 
         # Start tracks at unmatched detections, up to the maximum number of tracks.
-        boxes, is_unmatched = measured.boxes, np.ones(len(measured), np.bool_)
-        is_unmatched[matched[matched >= 0]] = False
-        unmatched = np.flatnonzero(is_unmatched)
-        unmatched = unmatched[
-            np.lexsort((boxes[unmatched, 1], boxes[unmatched, 0], -detections.returns[numbers[unmatched]]))
-        ]
-        new = measured.take(unmatched)
+        boxes, is_unused = measured.boxes, np.ones(len(measured), np.bool_)
+        is_unused[matched[matched >= 0]] = False
+        unused = np.flatnonzero(is_unused)
+        unused = unused[np.lexsort((boxes[unused, 1], boxes[unused, 0], -detections.returns[numbers[unused]]))]
+        new = measured.take(unused)
         born = TrackTable.begun(t_s, new.boxes, new.kinds, new.noise, motion)
-        born.detection = unmatched.astype(np.int32)
+        born.detection = unused.astype(np.int32)
         if len(born):
             born = rules.begin(born, new, tracks, view, self._view)
         tracks = _kept(tracks, rules.keep(tracks, t_s))
