@@ -226,10 +226,10 @@ def withheld_columns(reports: ObjectReports, *, own_view: bool) -> tuple[Columns
     looks, before = (bins.of("looks", count) for count in (reports.silent + 1, reports.before))
     others = bins.of("others", reports.others()[0])
     ranges, size = bins.of("range_m", reports.range_m), bins.of("size_m", reports.sizes_m)
-    returns, apart = bins.of("returns", np.nan_to_num(reports.returns)), bins.of("apart_m", reports.apart_m)
+    returns, distance = bins.of("returns", np.nan_to_num(reports.returns)), bins.of("apart_m", reports.apart_m)
     for other in (returns, others, ranges, before):
         bins.add(looks, other)
-    for codes in ((ranges, returns), (ranges, size, height), (apart, size)):
+    for codes in ((ranges, returns), (ranges, size, height), (distance, size)):
         bins.add(*codes)
     if own_view:
         kept, visible = _kept_bins(reports, bins), bins.of("visible", reports.visible)
@@ -259,8 +259,8 @@ def place_columns(reports: ObjectReports) -> tuple[Columns, int]:
 
 def _summed(columns: Columns, size: int, chosen: Mask) -> Rows:
     """Return how often each column occurs (J, size) among the chosen agents of each object."""
-    some = np.where(chosen[..., None], columns, size)
-    return counted(some.reshape(len(some), int(np.prod(some.shape[1:]))), size)
+    chosen_columns = np.where(chosen[..., None], columns, size)
+    return counted(chosen_columns.reshape(len(chosen_columns), int(np.prod(chosen_columns.shape[1:]))), size)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -53,7 +53,7 @@ GATE_M, STORY_M = 4.0, 2.5
 STD_M, STD_PER_M = 0.5, 0.012
 """Standard deviation of a detection's center along each axis in meters: at the sensor, and added per meter of range."""
 
-_NOBODY = np.array([0.0, 0.0, np.nan, np.nan])
+_UNSEEN = np.array([0.0, 0.0, np.nan, np.nan])
 """History of an object that an agent has not reported: looks with a report, consecutive looks without one since, and
 surface share and returns at the last report."""
 
@@ -190,7 +190,7 @@ class CommandCenter:
         # kept is -1 for new agents, which selects the appended last element.
         self._weights = np.append(self._weights, 1.0)[kept]
         self._elevated = np.append(self._elevated, False)[kept]
-        self._reported = {number: np.column_stack([past, _NOBODY])[:, kept] for number, past in self._reported.items()}
+        self._reported = {number: np.column_stack([past, _UNSEEN])[:, kept] for number, past in self._reported.items()}
         self.agents = agents
 
     def add(self, t_s: float, reports: Sequence[AgentReport]) -> CommonPicture:
@@ -211,10 +211,10 @@ class CommandCenter:
 
         # 4. Judge what each agent says of the tracks that are reported now, and how its view compares with the others.
         reported = np.flatnonzero(tracks.detection >= 0)
-        members, held, ids = matches[tracks.detection[reported]], tracks.ids.tolist(), tracks.ids[reported]
-        nobody = np.repeat(_NOBODY[:, None], len(self.agents), axis=1)
-        self._reported = {number: self._reported.get(number, nobody) for number in held}
-        past = np.array([self._reported[number] for number in ids.tolist()]).reshape(-1, len(_NOBODY), len(self.agents))
+        members, track_ids, ids = matches[tracks.detection[reported]], tracks.ids.tolist(), tracks.ids[reported]
+        unseen = np.repeat(_UNSEEN[:, None], len(self.agents), axis=1)
+        self._reported = {number: self._reported.get(number, unseen) for number in track_ids}
+        past = np.array([self._reported[number] for number in ids.tolist()]).reshape(-1, len(_UNSEEN), len(self.agents))
         said = object_reports(reports, columns, len(self.agents), tracks.boxes[reported], members, past)
         # An agent without a report now keeps its sensor height class: it is judged by its earlier reports.
         self._elevated[columns] = said.height[columns] > 0
@@ -234,10 +234,10 @@ class CommandCenter:
 
         # 5. An unreported track keeps its last existence, bounded by that of the tracker.
         self._existence |= dict(zip(ids.tolist(), verdicts.existence.tolist(), strict=True))
-        self._existence = {number: self._existence.get(number, 1.0) for number in held}
+        self._existence = {number: self._existence.get(number, 1.0) for number in track_ids}
         existence = np.array(tracks.existence)
         if not self.trusting:
-            existence = np.minimum(existence, [self._existence[number] for number in held])
+            existence = np.minimum(existence, [self._existence[number] for number in track_ids])
             existence[reported] = verdicts.existence
         reporters, deniers = np.zeros((2, len(tracks), len(self.agents)), np.bool_)
         reporters[reported], deniers[reported] = said.seen, said.sees & ~said.seen
@@ -340,9 +340,9 @@ def object_reports(
         )
         values = np.column_stack(box_cells)
         cells[near, column], own_cells[reported, column] = values[: near.sum()], values[near.sum() :]
-        away = np.linalg.norm(boxes[:, None, :2] - agent_boxes[None, :, :2], axis=2)
-        away[np.flatnonzero(members[:, k] >= 0), members[members[:, k] >= 0, k]] = NO_DETECTION_M
-        apart_m[:, column] = away.min(axis=1, initial=NO_DETECTION_M)
+        distance_m = np.linalg.norm(boxes[:, None, :2] - agent_boxes[None, :, :2], axis=2)
+        distance_m[np.flatnonzero(members[:, k] >= 0), members[members[:, k] >= 0, k]] = NO_DETECTION_M
+        apart_m[:, column] = distance_m.min(axis=1, initial=NO_DETECTION_M)
     before, silent = np.ceil(np.moveaxis(past[:, :2], 1, 0) - 1e-6).astype(np.int64)
     return ObjectReports(
         seen, able, visible, range_m, height, boxes[:, 3:5].max(axis=1, initial=0.0), cells, own_cells, apart_m,

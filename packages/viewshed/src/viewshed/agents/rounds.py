@@ -133,7 +133,7 @@ class Round:
         sentences = [f"{agent} is accused: {why}; it counts little" for agent, why in self.reasons().items()]
         sentences += [f"{disputed}: one of them lies, and no third view says which"] if disputed else []
         if self.missing:
-            sentences.append(f"{self._those_missing} heard lately and missing: they contradict nobody")
+            sentences.append(f"{self._missing_text} heard lately and missing: they contradict nobody")
         return sentences + self.gaps()
 
     def gaps(self) -> list[str]:
@@ -141,8 +141,8 @@ class Round:
         gaps = []
         if len(self.reports) == 1:
             gaps.append(f"{self.reports[0].agent} alone is heard: nobody contradicts it")
-        elif apart := ", ".join(self._far_from_all()):
-            gaps.append(f"{apart}: farther than {APART_M:g} m from all others, so that nobody contradicts it")
+        elif far_agents := ", ".join(self._far_from_all()):
+            gaps.append(f"{far_agents}: farther than {APART_M:g} m from all others, so that nobody contradicts it")
         return gaps if any(len(report.detections) for report in self.reports) else [*gaps, NO_OBJECTS]
 
     def _far_from_all(self) -> list[str]:
@@ -153,7 +153,7 @@ class Round:
         return [report.agent for report, far in zip(self.reports, is_far, strict=True) if far and len(places) > 1]
 
     @property
-    def _those_missing(self) -> str:
+    def _missing_text(self) -> str:
         """Missing agents, each with the number of its reports refused so far."""
         return ", ".join(
             f"{agent} ({self.refused[agent]} reports refused)" if self.refused.get(agent) else agent
@@ -196,7 +196,7 @@ def judged(picture: CommonPicture) -> tuple[Mask, Mask]:
 
 
 @dataclass(slots=True)
-class _Heard:
+class _AgentState:
     """State of an agent that has reported."""
 
     since_s: float  # since when it has been live without a gap of :data:`HEARD_S`
@@ -210,7 +210,7 @@ class _Heard:
         self.ahead_s.append((arrived_s, t_s - arrived_s))
         while abs(self.ahead_s[0][0] - arrived_s) > CLOCK_S:
             self.ahead_s.popleft()
-        ahead_s = max(each for _, each in self.ahead_s)
+        ahead_s = max(lead_s for _, lead_s in self.ahead_s)
         return t_s - (ahead_s if ahead_s > 0.0 else min(ahead_s + slack_s, 0.0))
 
 
@@ -255,7 +255,7 @@ class Rounds:
     """Notes of the last call, one sentence each: reports refused or left out, agents missing or new."""
     _center: CommandCenter | None = field(default=None, repr=False)
     _open: list[_OpenRound] = field(default_factory=list, repr=False)
-    _heard: dict[str, _Heard] = field(default_factory=dict, repr=False)
+    _states: dict[str, _AgentState] = field(default_factory=dict, repr=False)
     _now_s: float = field(default=-np.inf, repr=False)
     _last_s: float = field(default=-np.inf, repr=False)
     _last_agents: tuple[str, ...] = field(default=(), repr=False)
@@ -286,7 +286,7 @@ class Rounds:
         self.notes = []
         if now_s < self._now_s - 10.0 * self.slop_s:
             self.notes.append("time went back: the center begins anew")
-            self._center, self._open, self._heard, self._now_s = None, [], {}, -np.inf
+            self._center, self._open, self._states, self._now_s = None, [], {}, -np.inf
             self._last_s, self._last_agents = -np.inf, ()
         self._now_s = max(self._now_s, now_s)
         ended = self._ended()
@@ -328,24 +328,24 @@ class Rounds:
         open_rounds, self._open = self._open, []
         return [finished for open_round in open_rounds if (finished := self._end(open_round)) is not None]
 
-    def _place_of(self, agent: str) -> _Heard | None:
+    def _place_of(self, agent: str) -> _AgentState | None:
         """Return the state of an agent that reports now; None, with a note, if it has no place."""
         if self.agents and agent not in self.agents:
             self.notes.append(f"{agent}: is none of {', '.join(self.agents)}, its report is left out")
             return None
-        state = self._heard.get(agent)
+        state = self._states.get(agent)
         if state is None:
-            if len(self._heard) >= MAX_AGENTS:
-                longest_silent = min(self._heard, key=lambda name: self._heard[name].last_s)
-                if self._now_s - self._heard[longest_silent].last_s < SILENT_S:
+            if len(self._states) >= MAX_AGENTS:
+                longest_silent = min(self._states, key=lambda name: self._states[name].last_s)
+                if self._now_s - self._states[longest_silent].last_s < SILENT_S:
                     self.notes.append(
                         f"{agent}: agents must be at most {MAX_AGENTS}, got one more; its report is left out until one"
                         f" of them is silent for {SILENT_S:g} s; give it a center of its own"
                     )
                     return None
-                del self._heard[longest_silent]
+                del self._states[longest_silent]
                 self.notes.append(f"{longest_silent}: was silent for {SILENT_S:g} s, {agent} has its place")
-            state = self._heard[agent] = _Heard(self._now_s, self._now_s)
+            state = self._states[agent] = _AgentState(self._now_s, self._now_s)
         if self._now_s - state.last_s >= HEARD_S:
             state.since_s = self._now_s
         state.last_s = self._now_s
@@ -353,7 +353,7 @@ class Rounds:
 
     def _is_possible(self, t_s: float, now_s: float, report: AgentReport) -> bool:
         """Return whether a vehicle can have the pose of a report; if not, add a note."""
-        problem = self._heard[report.agent].kinematics.problem_of(t_s, now_s, report)
+        problem = self._states[report.agent].kinematics.problem_of(t_s, now_s, report)
         if problem is not None:
             self.notes.append(f"{report.agent}: {problem}; its report is left out")
         return problem is None
@@ -376,8 +376,8 @@ class Rounds:
         target.times_s.append((t_s, min(stated_s, t_s)))
         self._open.sort(key=lambda each: each.t_s)
         # Reports of one agent arrive in order: it will send none for earlier rounds.
-        for each in self._open[: self._open.index(target)]:
-            each.passed.add(report.agent)
+        for open_round in self._open[: self._open.index(target)]:
+            open_round.passed.add(report.agent)
 
     def _nearest(self, agent: str, t_s: float, *, stated: bool) -> _OpenRound | None:
         """Return the nearest open round within the slop that lacks an agent; of those about as near, the fullest.
@@ -386,12 +386,12 @@ class Rounds:
         report of a round: one agent could move the median of two reports and so split honest agents.
         """
 
-        def apart_s(each: _OpenRound) -> float:
-            return abs((each.stated_s if stated else each.t_s) - t_s)
+        def apart_s(open_round: _OpenRound) -> float:
+            return abs((open_round.stated_s if stated else open_round.t_s) - t_s)
 
-        def order(each: _OpenRound) -> tuple[float, int, float]:
-            nearest_s = min(abs(times_s[stated] - t_s) for times_s in each.times_s)
-            return max(nearest_s, self.slop_s / 2), -len(each.reports), apart_s(each)
+        def order(open_round: _OpenRound) -> tuple[float, int, float]:
+            nearest_s = min(abs(times_s[stated] - t_s) for times_s in open_round.times_s)
+            return max(nearest_s, self.slop_s / 2), -len(open_round.reports), apart_s(open_round)
 
         candidates = [each for each in self._open if agent not in each.reports and apart_s(each) <= self.slop_s]
         return min(candidates, key=order, default=None)
@@ -414,7 +414,7 @@ class Rounds:
         # Before the first round the set of agents is unknown: wait for a report of the next round.
         if self._last_s == -np.inf and len(self._open) == 1:
             return True
-        live = {agent for agent, state in self._heard.items() if self._now_s < state.last_s + HEARD_S}
+        live = {agent for agent, state in self._states.items() if self._now_s < state.last_s + HEARD_S}
         later = {agent for each in self._open[1:] for agent in each.reports}
         if 2 * len(live & later) > len(live):
             return False
@@ -425,7 +425,7 @@ class Rounds:
         self._last_s, self._last_agents = max(open_round.t_s, self._last_s + 1e-3), tuple(open_round.reports)
         missing = tuple(
             sorted(
-                agent for agent, state in self._heard.items()
+                agent for agent, state in self._states.items()
                 if agent not in open_round.reports and state.since_s < self._last_s < state.last_s + HEARD_S
             )
         )  # fmt: skip
@@ -436,7 +436,7 @@ class Rounds:
         try:
             center = self._center_with(open_round.reports)
             picture = center.add(self._last_s, list(open_round.reports.values()))
-            refused = {agent: state.kinematics.refused for agent, state in self._heard.items()}
+            refused = {agent: state.kinematics.refused for agent, state in self._states.items()}
             return Round.of(picture, missing, {agent: count for agent, count in refused.items() if count})
         except Exception as error:
             problem = f"{type(error).__name__}: {error}"
@@ -449,7 +449,7 @@ class Rounds:
             self._center = CommandCenter(self.agents or tuple(sorted(reporting)))
         known = self._center.agents
         new = tuple(sorted(reporting.keys() - set(known)))
-        staying = tuple(agent for agent in known if self.agents or agent in self._heard)
+        staying = tuple(agent for agent in known if self.agents or agent in self._states)
         if (*staying, *new) != known:
             self._center.regroup((*staying, *new))
         if new:

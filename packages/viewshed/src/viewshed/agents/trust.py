@@ -480,8 +480,8 @@ class TrustLimits:
             ValueError: there are too few scenes for this rate.
         """
         self._check(rate)
-        somebody = _p_values(self.doubt, np.array([verdicts.doubt]))[0] <= rate
-        return verdicts.suspects & ~accused if somebody else np.zeros_like(verdicts.suspects)
+        has_liar = _p_values(self.doubt, np.array([verdicts.doubt]))[0] <= rate
+        return verdicts.suspects & ~accused if has_liar else np.zeros_like(verdicts.suspects)
 
     def _check(self, rate: float) -> None:
         need = int(np.ceil(1.0 / rate - 1e-9)) - 1 if 0 < rate < 1 else -1

@@ -213,7 +213,7 @@ class Surprises:
     USUAL = 1.2
     """Surprise in nats that is not counted, that of three in ten honest numbers."""
 
-    MOST = 6.0
+    MAX = 6.0
     """Maximum surprise of one number."""
 
     LEVELS = np.concatenate([np.linspace(0.0, 0.9, 10), 1.0 - np.geomspace(0.1, 1e-4, 40)[1:]])
@@ -230,17 +230,17 @@ class Surprises:
         levels, kinds = cls.LEVELS, (False, True)
 
         def quantiles(values: list[F64]) -> F64:
-            known = np.concatenate(values)
-            known = known[np.isfinite(known)]
-            return np.quantile(known, levels) if len(known) else np.zeros(len(levels))
+            finite = np.concatenate(values)
+            finite = finite[np.isfinite(finite)]
+            return np.quantile(finite, levels) if len(finite) else np.zeros(len(levels))
 
-        off = [~np.eye(len(each), dtype=np.bool_) for each in elevated]
+        off_diagonal = [~np.eye(len(each), dtype=np.bool_) for each in elevated]
         pairs = [
             [
                 [
                     quantiles([
                         each.pairs[..., k][(high[:, None] == first) & (high == second) & others]
-                        for each, high, others in zip(compared, elevated, off, strict=True)
+                        for each, high, others in zip(compared, elevated, off_diagonal, strict=True)
                     ])
                     for k in range(len(PAIR))
                 ]
@@ -265,7 +265,7 @@ class Surprises:
 
     def _of(self, values: F64, quantiles: F64) -> F64:
         above = 1.0 - np.append(0.0, self.LEVELS)[(values[..., None] > quantiles).sum(axis=-1)]
-        nats = np.clip(-np.log(np.maximum(above, 1e-9)), self.USUAL, self.MOST) - self.USUAL
+        nats = np.clip(-np.log(np.maximum(above, 1e-9)), self.USUAL, self.MAX) - self.USUAL
         return np.where(np.isfinite(values), nats, np.nan)
 
     def to_json(self) -> dict[str, Any]:

@@ -53,17 +53,17 @@ def volume_overlaps(first: F64, second: F64) -> F64:
     >>> volume_overlaps(box, box + np.array([1.0, 0, 0, 0, 0, 0, 0])).tolist()
     [[0.6]]
     """
-    shared = np.zeros((len(first), len(second)))
-    reach = np.hypot(first[:, None, 3], first[:, None, 4]) + np.hypot(second[None, :, 3], second[None, :, 4])
-    apart = np.hypot(first[:, None, 0] - second[None, :, 0], first[:, None, 1] - second[None, :, 1])
-    rows, columns = np.nonzero(2.0 * apart < reach)
+    intersection = np.zeros((len(first), len(second)))
+    diagonals = np.hypot(first[:, None, 3], first[:, None, 4]) + np.hypot(second[None, :, 3], second[None, :, 4])
+    distance_m = np.hypot(first[:, None, 0] - second[None, :, 0], first[:, None, 1] - second[None, :, 1])
+    rows, columns = np.nonzero(2.0 * distance_m < diagonals)
     footprints = np.asarray(shapely.polygons(corners_of(first))), np.asarray(shapely.polygons(corners_of(second)))
     areas = shapely.area(shapely.intersection(footprints[0][rows], footprints[1][columns]))
     low = np.maximum((first[:, 2] - first[:, 5] / 2)[rows], (second[:, 2] - second[:, 5] / 2)[columns])
     high = np.minimum((first[:, 2] + first[:, 5] / 2)[rows], (second[:, 2] + second[:, 5] / 2)[columns])
-    shared[rows, columns] = areas * np.maximum(high - low, 0.0)
+    intersection[rows, columns] = areas * np.maximum(high - low, 0.0)
     volumes = first[:, 3:6].prod(axis=1)[:, None] + second[:, 3:6].prod(axis=1)[None, :]
-    return np.asarray(shared / (volumes - shared))
+    return np.asarray(intersection / (volumes - intersection))
 
 
 def inside(points: F64, boxes: F64, margin_m: float = 0.0) -> Mask:

@@ -65,9 +65,9 @@ class SeenBefore:
         """
         shares = np.full(len(tracks), np.nan)
         variance = np.maximum(tracks.covariances[:, 2, 2], tracks.covariances[:, 3, 3])
-        known = (variance <= _MAX_VELOCITY_STD_MPS**2) & (surface >= _MIN_SURFACE)
-        known &= tracks.boxes[:, 3:5].max(axis=1, initial=0.0) >= _MIN_LENGTH_M
-        pursued, boxes, t_s = np.flatnonzero(followed & known & tracks.in_world), tracks.boxes.copy(), tracks.t_s
+        can_follow = (variance <= _MAX_VELOCITY_STD_MPS**2) & (surface >= _MIN_SURFACE)
+        can_follow &= tracks.boxes[:, 3:5].max(axis=1, initial=0.0) >= _MIN_LENGTH_M
+        pursued, boxes, t_s = np.flatnonzero(followed & can_follow & tracks.in_world), tracks.boxes.copy(), tracks.t_s
         last_share, was_lost = surface.copy(), np.zeros(len(tracks), np.bool_)
         for past_s, cells in reversed(self._past):
             if not len(pursued):

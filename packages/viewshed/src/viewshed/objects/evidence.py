@@ -59,7 +59,7 @@ _VISIBLE = np.array([0.1, 0.5, 0.9])
 _JUMP = np.array([0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 5.0, 6.0, 8.0])
 """Bin edges of a jump in standard deviations."""
 
-MOSTLY = 0.5
+MIN_KNOWN_SHARE = 0.5
 """Minimum share of a box in known cells; with less, its cells give no evidence."""
 
 BLIND = -1
@@ -97,7 +97,7 @@ def cell_bins(cells: BoxCells, found: F64) -> Columns:
     values, bins = cells._asdict() | {"found": found}, Bins(found.shape, _BOUNDS)
     for names in BOX_FEATURES:
         bins.add(*(bins.of(name, values[name]) for name in names))
-    is_known = cells.surface + cells.free + cells.hidden >= MOSTLY
+    is_known = cells.surface + cells.free + cells.hidden >= MIN_KNOWN_SHARE
     return np.where(is_known[:, None], bins.columns(), np.int32(BLIND))
 
 

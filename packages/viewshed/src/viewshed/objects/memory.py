@@ -85,8 +85,8 @@ def rows_of(ids: NDArray[np.int64], known: NDArray[np.int64]) -> Rows:
     if not len(known):
         return np.full(len(ids), -1, np.intp)
     order = np.argsort(known)
-    place = np.minimum(np.searchsorted(known, ids, sorter=order), len(known) - 1)
-    return np.where(known[order[place]] == ids, order[place], -1)
+    index = np.minimum(np.searchsorted(known, ids, sorter=order), len(known) - 1)
+    return np.where(known[order[index]] == ids, order[index], -1)
 
 
 def aligned(memory: Memory, known: NDArray[np.int64], ids: NDArray[np.int64]) -> Memory:

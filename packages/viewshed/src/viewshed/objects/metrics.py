@@ -51,10 +51,10 @@ def gospa(tracks: Points, truths: Points, *, cutoff_m: float = 4.0, order: float
         ValueError: a number is not finite, or the cutoff or the order is out of range.
         ImportError: scipy is not installed.
     """
-    apart = _distances(tracks, truths, cutoff_m, order)
-    costs = np.minimum(apart, cutoff_m) ** order
+    distance_m = _distances(tracks, truths, cutoff_m, order)
+    costs = np.minimum(distance_m, cutoff_m) ** order
     rows, columns = assignment_solver()(costs)
-    is_pair = apart[rows, columns] < cutoff_m
+    is_pair = distance_m[rows, columns] < cutoff_m
     pairs, unmatched_cost = int(is_pair.sum()), cutoff_m**order / 2.0
     localization = float(costs[rows, columns][is_pair].sum())
     return Gospa(localization, unmatched_cost * (len(truths) - pairs), unmatched_cost * (len(tracks) - pairs), order)
@@ -89,13 +89,13 @@ def match_objects(
     tracks: Points, track_ids: NDArray[np.int64], truths: Points, truth_ids: NDArray[np.int64], within_m: float = 2.0
 ) -> MatchedObjects:
     """Return the matches of tracks (N, 2+) and truths (M, 2+) at most ``within_m`` apart, as many as possible."""
-    apart = _distances(tracks, truths, within_m, 1.0)
+    distance_m = _distances(tracks, truths, within_m, 1.0)
     # Maximize the number of pairs first, then minimize the sum of distances.
     rows, columns = assignment_solver()(
-        np.where(apart <= within_m, apart - within_m * (1 + max(apart.shape, default=0)), 0.0)
+        np.where(distance_m <= within_m, distance_m - within_m * (1 + max(distance_m.shape, default=0)), 0.0)
     )
     truth_of_track = np.full(len(track_ids), -1, np.int64)
-    is_pair = apart[rows, columns] <= within_m
+    is_pair = distance_m[rows, columns] <= within_m
     truth_of_track[rows[is_pair]] = columns[is_pair]
     return MatchedObjects(np.asarray(track_ids, np.int64), np.asarray(truth_ids, np.int64), truth_of_track)
 

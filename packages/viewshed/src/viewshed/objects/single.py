@@ -166,8 +166,8 @@ class SingleFusion:
         )
         # Forget a given-up track that is detected again under another id.
         honest = tracks.boxes[is_matched & (memory.wealth[:, FABRICATED] < self.model.limits[FABRICATED])]
-        apart = np.hypot(*(last.boxes[:, None, :2] - honest[None, :, :2]).transpose(2, 0, 1))
-        given_up &= (apart >= _SAME_M).all(axis=1)
+        distance_m = np.hypot(*(last.boxes[:, None, :2] - honest[None, :, :2]).transpose(2, 0, 1))
+        given_up &= (distance_m >= _SAME_M).all(axis=1)
         if not given_up.any():
             return tracks, memory
         carried_over = _predicted(last.take(given_up), tracks.t_s, dt_s, view)

@@ -42,7 +42,7 @@ MAX_TRACKS, MAX_DETECTIONS = 500, 1000
 """Maximum number of tracks (further detections start none, with a note), and of detections per sweep (more are
 refused)."""
 
-_LONGEST_M = 30.0
+_MAX_LENGTH_M = 30.0
 """Maximum length of a box; longer ones are left out, with a note."""
 
 _LATE_S = 0.5
@@ -371,10 +371,10 @@ class Tracker:
         unchanged = self._time_note(t_s, view, notes)
         if unchanged is not None:
             return unchanged
-        numbers = np.flatnonzero(detections.boxes[:, 3:6].max(axis=1, initial=0.0) <= _LONGEST_M)
+        numbers = np.flatnonzero(detections.boxes[:, 3:6].max(axis=1, initial=0.0) <= _MAX_LENGTH_M)
         if len(numbers) < len(detections):
             refused = len(detections) - len(numbers)
-            notes.append(f"{refused} of {len(detections)} boxes left out: longer than {_LONGEST_M:g} m")
+            notes.append(f"{refused} of {len(detections)} boxes left out: longer than {_MAX_LENGTH_M:g} m")
         measured = measured.take(numbers)
 
         # Predict, query the view, associate and update.
