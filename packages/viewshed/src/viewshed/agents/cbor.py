@@ -173,7 +173,7 @@ class Reader:
         value = float(struct.unpack(_FLOATS[extra], raw)[0])
         if math.isnan(value):
             if raw != b"\x7e\x00":
-                raise ValueError("a float that is no number must be the half one")
+                raise ValueError("NaN in a payload must be the half-precision one")
         elif extra > 25 and _fits(value, _FLOATS[extra - 1]):
             raise ValueError("floats in a payload must be as short as they can be")
         return value

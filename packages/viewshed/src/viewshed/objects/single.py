@@ -98,7 +98,7 @@ class SingleFusion:
 
         ratios = np.ones((count, 3))
         ratios[is_matched, FABRICATED] = look.ratio[is_matched]
-        # REMOVED, not detected though still there, against missed by the detector or gone.
+        # Removed: the object is still there, undetected. Alternative: the detector missed it, or it has gone.
         gone_ratio = self._still_there(all_tracks, look, is_matched, views)
         missed = 1.0 / ((1.0 - model.gone) * (1.0 - prob_found) + model.gone * gone_ratio)
         ratios[:, REMOVED] = np.where(is_matched, model.still_found / np.maximum(prob_found, model.still_found), missed)
