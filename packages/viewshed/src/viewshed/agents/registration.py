@@ -6,7 +6,7 @@ of others: a prior from the covariance, a likelihood from coinciding surfaces, a
 matching; Olson, 2009). The remaining pose error is left to the view comparisons.
 
 **Large stated errors buy no freedom.** A pose moves by at most :data:`REACH` standard deviations, and stated ones count
-up to :data:`MAX_PLACE_STD_M` and :data:`MAX_YAW_STD`. Agents that state no errors keep their poses.
+up to :data:`MAX_STD_M` and :data:`MAX_YAW_STD`. Agents that state no errors keep their poses.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ from viewshed.fov.estimate import FovEstimate
 from viewshed.geometry import Rigid, pose_covariance_of
 from viewshed.sweep import Sweep
 
-MAX_PLACE_STD_M, MAX_YAW_STD = 0.25, float(np.radians(0.6))
+MAX_STD_M, MAX_YAW_STD = 0.25, float(np.radians(0.6))
 """Caps of the standard deviations of a position along each axis, and of a heading in radians."""
 
-MIN_PLACE_STD_M, MIN_YAW_STD = 0.03, float(np.radians(0.05))
+MIN_STD_M, MIN_YAW_STD = 0.03, float(np.radians(0.05))
 """A pose is left unchanged if both standard deviations are below these."""
 
 REACH = 2.0
@@ -91,12 +91,12 @@ class PoseStd:
     @property
     def bounded(self) -> PoseStd:
         """The standard deviations, capped."""
-        return PoseStd(min(self.place_m, MAX_PLACE_STD_M), min(self.yaw, MAX_YAW_STD))
+        return PoseStd(min(self.place_m, MAX_STD_M), min(self.yaw, MAX_YAW_STD))
 
     @property
     def matters(self) -> bool:
         """Whether the errors are large enough to correct the pose."""
-        return self.place_m >= MIN_PLACE_STD_M or self.yaw >= MIN_YAW_STD
+        return self.place_m >= MIN_STD_M or self.yaw >= MIN_YAW_STD
 
 
 EXACT = PoseStd()
