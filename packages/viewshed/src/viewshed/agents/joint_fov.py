@@ -44,7 +44,7 @@ def joint_fov(
 ) -> JointFov:
     """Return the joint field of view of views with poses, each weighted by the trust (A,) in its agent.
 
-    A low threshold of an agent's own, or a probability in cells that it calls HIDDEN or UNKNOWN, claims nothing.
+    A low threshold of an agent's own, or a probability in cells that it calls HIDDEN or UNKNOWN, is no claim.
 
     Raises:
         ValueError: a view has no pose, or the number of trust values differs.
