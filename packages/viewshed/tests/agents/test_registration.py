@@ -9,7 +9,7 @@ import pytest
 from tests.agents.test_view_evidence import honest
 
 from viewshed.agents.many import AgentReport, registered
-from viewshed.agents.registration import MOST_M, MOST_TURN, REACH, UNSTATED, PoseStd, registered_poses
+from viewshed.agents.registration import MAX_STD_M, MAX_YAW_STD, REACH, UNSTATED, PoseStd, registered_poses
 from viewshed.detections import Detections
 from viewshed.fov.estimate import FovEstimate
 from viewshed.geometry import Rigid
@@ -48,9 +48,9 @@ def test_nobody_moves_farther_by_stating_larger_errors() -> None:
     wrong = moved(EXACT[0], 3.0, 0.0)
     for std in (STD, PoseStd(50.0, 1.0)):
         pose = registered_poses([wrong, *EXACT[1:]], [std, PoseStd(), PoseStd()])[0]
-        assert off_m(pose, wrong) <= REACH * min(std.place_m, MOST_M) * np.sqrt(2) + 1e-9
+        assert off_m(pose, wrong) <= REACH * min(std.place_m, MAX_STD_M) * np.sqrt(2) + 1e-9
         turn = pose.yaw - (wrong.world_from_level or pose).yaw
-        assert abs(turn) <= REACH * min(std.yaw, MOST_TURN) + 1e-9
+        assert abs(turn) <= REACH * min(std.yaw, MAX_YAW_STD) + 1e-9
     assert off_m(pose, EXACT[0]) > 1.0  # a pose 3 m off stays one that is off
 
 

@@ -9,7 +9,7 @@ from tests.objects.scenes import GRID, HEIGHT_M, car, found, of_kind, person, se
 from viewshed import Sweep, _core
 from viewshed.detections import ObjectKind
 from viewshed.objects.candidates import find_candidates
-from viewshed.objects.detector import MOST_OBJECTS, Detector, choose_nested, first_of_overlapping
+from viewshed.objects.detector import MAX_OBJECTS, Detector, choose_nested, first_of_overlapping
 from viewshed.preprocess.leveling import level
 from viewshed_lab.sim import Box
 
@@ -94,7 +94,7 @@ def test_no_more_objects_than_promised_are_given() -> None:
     body = np.column_stack([rng.uniform(-0.25, 0.25, (30, 2)), np.linspace(-1.4, -0.1, 30)])
     points = np.concatenate([body + np.append(center, 0.0) for center in centers]).astype(np.float32)
     leveled = level(Sweep(points, sensor_height_m=HEIGHT_M), GRID)
-    assert len(Detector(least_prob=1e-6).detect(leveled)) <= MOST_OBJECTS
+    assert len(Detector(least_prob=1e-6).detect(leveled)) <= MAX_OBJECTS
 
 
 def test_of_nested_candidates_the_best_mean_is_kept() -> None:

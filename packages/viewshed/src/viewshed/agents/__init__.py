@@ -1,1 +1,1 @@
-"""Many agents: what they send each other, signed; what they see together, and whom to trust."""
+"""Multi-agent perception: signed messages, the joint field of view and tracks, and trust in each agent."""

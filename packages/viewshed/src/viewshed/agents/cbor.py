@@ -1,8 +1,8 @@
-"""The deterministic CBOR of messages (RFC 8949, section 4.2.1): written by cbor2, read by a strict and bounded reader.
+"""Deterministic CBOR of messages (RFC 8949, section 4.2.1): written by cbor2, read by a strict and bounded reader.
 
-The reader takes only what messages are made of: whole numbers, byte and text strings, arrays, maps with ascending
-unsigned keys, floats, booleans, and typed arrays of numbers (RFC 8746). Lengths are always given, and numbers are as
-short as they can be, so that two payloads that say the same are the same bytes. Sizes are checked before all else.
+The reader accepts only what messages use: integers, byte and text strings, arrays, maps with ascending unsigned keys,
+floats, booleans, and typed arrays of numbers (RFC 8746). Lengths are definite and numbers use the shortest encoding, so
+that equal content has equal bytes. Sizes are checked first.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 from viewshed._extras import needed_for
 
 MAX_ITEMS = 512
-"""The most items of a payload, those in arrays and maps counted."""
+"""Maximum number of items in a payload, including those in arrays and maps."""
 
 MAX_DEPTH = 4
-"""Most arrays and maps that lie in each other."""
+"""Maximum nesting depth of arrays and maps."""
 
 _DTYPES: dict[int, np.dtype[Any]] = {
     64: np.dtype("u1"), 78: np.dtype("<i4"), 85: np.dtype("<f4"), 86: np.dtype("<f8"),
@@ -32,7 +32,7 @@ _FLOATS = {25: ">e", 26: ">f", 27: ">d"}
 
 
 def dumps(value: Any) -> bytes:
-    """Return plain values and one-dimensional arrays of numbers as deterministic CBOR.
+    """Return plain values and one-dimensional numeric arrays as deterministic CBOR.
 
     Raises:
         ImportError: cbor2 is not installed.
@@ -43,23 +43,23 @@ def dumps(value: Any) -> bytes:
     with needed_for("writing messages"):
         import cbor2
 
-    def tagged(item: Any) -> Any:
+    def with_tags(item: Any) -> Any:
         if isinstance(item, np.ndarray):
             little = np.ascontiguousarray(item, item.dtype.newbyteorder("<"))
             return cbor2.CBORTag(_TAGS[little.dtype], little.tobytes())
         if isinstance(item, Mapping):
-            return {key: tagged(each) for key, each in item.items()}
-        return [tagged(each) for each in item] if isinstance(item, list | tuple) else item
+            return {key: with_tags(each) for key, each in item.items()}
+        return [with_tags(each) for each in item] if isinstance(item, list | tuple) else item
 
-    packed: bytes = cbor2.dumps(tagged(value), canonical=True)
+    packed: bytes = cbor2.dumps(with_tags(value), canonical=True)
     return packed
 
 
 def loads(data: bytes) -> Any:
-    """Return what deterministic CBOR says; typed arrays are read-only views of ``data``.
+    """Return the value of deterministic CBOR; typed arrays are read-only views of ``data``.
 
     Raises:
-        ValueError: the bytes are not deterministic CBOR of such values, or end too early or too late.
+        ValueError: the bytes are not deterministic CBOR of supported values, or are too short or too long.
 
     >>> loads(bytes.fromhex("a200010182f5f93800"))
     {0: 1, 1: [True, 0.5]}
@@ -72,7 +72,7 @@ def loads(data: bytes) -> Any:
 
 
 class Reader:
-    """Reads items of deterministic CBOR one after the other; ``at`` is where the next begins."""
+    """Reads items of deterministic CBOR in sequence; ``at`` is the offset of the next one."""
 
     __slots__ = ("at", "data", "items")
 
@@ -146,15 +146,15 @@ class Reader:
             raise ValueError(f"a payload must have at most {MAX_ITEMS} items")
         if major == 4:
             return [self.value(depth + 1) for _ in range(length)]
-        found: dict[int, Any] = {}
+        items: dict[int, Any] = {}
         last = -1
         for _ in range(length):
             key_major, _, key = self.head()
             if key_major != 0 or key <= last:
                 raise ValueError("keys in a payload must be unsigned and ascend")
-            found[key] = self.value(depth + 1)
+            items[key] = self.value(depth + 1)
             last = key
-        return found
+        return items
 
     def _typed_array(self, tag: int) -> NDArray[Any]:
         dtype = _DTYPES.get(tag)
@@ -173,7 +173,7 @@ class Reader:
         value = float(struct.unpack(_FLOATS[extra], raw)[0])
         if math.isnan(value):
             if raw != b"\x7e\x00":
-                raise ValueError("a float that is no number must be the half one")
+                raise ValueError("NaN in a payload must be the half-precision one")
         elif extra > 25 and _fits(value, _FLOATS[extra - 1]):
             raise ValueError("floats in a payload must be as short as they can be")
         return value

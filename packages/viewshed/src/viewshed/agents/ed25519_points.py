@@ -1,7 +1,7 @@
-"""Points of the curve of Ed25519 (RFC 8032, section 5.1): which public keys are one that only its owner can sign for.
+"""Check Ed25519 public keys (RFC 8032, section 5.1) for points for which only the key's owner can sign.
 
-For a point of small order everybody can write a signature, and libraries verify it. Integers of Python are enough, as a
-key is looked at once, when it is loaded.
+For a point of small order anyone can forge a signature that libraries accept. Python integers are fast enough, because
+a key is checked once, when it is loaded.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ _ROOT_OF_MINUS_1 = pow(2, (_PRIME - 1) // 4, _PRIME)
 
 
 def has_large_order(public: bytes) -> bool:
-    """Return whether 32 bytes are the only encoding of a point whose order does not divide 8."""
+    """Return whether 32 bytes are the canonical encoding of a point whose order does not divide 8."""
     point = _decode(public)
     for _ in range(3):
         point = None if point is None else _double(*point)
@@ -20,7 +20,7 @@ def has_large_order(public: bytes) -> bool:
 
 
 def _decode(public: bytes) -> tuple[int, int] | None:
-    """Return x and y of an encoded point (section 5.1.3), or None where there is none."""
+    """Return x and y of an encoded point (section 5.1.3), or None if it is invalid."""
     number = int.from_bytes(public, "little")
     y, sign = number & (2**255 - 1), number >> 255
     if y >= _PRIME:

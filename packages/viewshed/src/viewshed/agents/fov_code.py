@@ -1,7 +1,7 @@
-"""A field of view in few bytes: the state of each cell as it is, its probability in 16 levels, its deviation in 8.
+"""Compressed field of view: the exact state of each cell, its probability in 16 levels, its standard deviation in 8.
 
-The native core predicts each cell from those coded before it, and an adaptive range coder writes what the prediction
-leaves open (``src/core/fov_code.cpp``). Decoding takes a bounded number of steps; bytes that are no code are refused.
+The native core predicts each cell from those coded before it, and an adaptive range coder stores the residual
+(``src/core/fov_code.cpp``). Decoding takes a bounded number of steps; invalid bytes are refused.
 """
 
 from __future__ import annotations
@@ -17,20 +17,20 @@ from viewshed.fov.estimate import FovEstimate
 from viewshed.grid import BevGrid
 
 LEVELS = 16
-"""Levels of probability: eight below the threshold and eight from it on, so that the visible cells stay exact."""
+"""Levels of probability: eight below the threshold and eight from it on, so that visible cells stay exact."""
 
 STD_LEVELS = 8
-"""Levels of the standard deviation, 1/16 wide: no deviation of a probability exceeds 0.5."""
+"""Levels of the standard deviation, each 1/16 wide: a probability has a standard deviation of at most 0.5."""
 
 MAX_CELLS = 512
-"""The most cells per side of a grid in a code."""
+"""Maximum number of cells per side of a coded grid."""
 
 _NO_STD = STD_LEVELS
 
-# What levels of deviation stand for: the middles of their intervals, NaN for none.
+# Standard deviation of each level: the middle of its interval; NaN for none.
 _STD_VALUES = np.append((np.arange(STD_LEVELS) + 0.5) / (2 * STD_LEVELS), np.nan).astype(np.float32)
 
-# Where a code would be too long: levels between the extremes become one of two.
+# Coarse levels for codes that would be too long: levels between the extremes become one of two.
 _COARSE = np.array([0, 4, 4, 4, 4, 4, 4, 4, 11, 11, 11, 11, 11, 11, 11, 15], np.uint8)
 
 _NO_PLANE = np.zeros((0, 0), np.uint8)
@@ -38,16 +38,16 @@ _NO_PLANE = np.zeros((0, 0), np.uint8)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ViewCells:
-    """The cells of a view as a code gives them back."""
+    """Decoded cells of a view."""
 
-    state: NDArray[np.uint8]  # (cells, cells) uint8 of :class:`viewshed.CellState`, as it was
-    visible_prob: NDArray[np.float32]  # (cells, cells) float32, the middles of the levels
-    # (cells, cells) float32, the middles of the levels, NaN where there was none; None where no cell had one
+    state: NDArray[np.uint8]  # (cells, cells) uint8 of :class:`viewshed.CellState`, exact
+    visible_prob: NDArray[np.float32]  # (cells, cells) float32, middles of the levels
+    # (cells, cells) float32, middles of the levels, NaN where there was none; None if no cell had one
     std: NDArray[np.float32] | None
 
 
 def max_code_bytes(grid: BevGrid) -> int:
-    """Return the most bytes that the code of a view on ``grid`` may have: two bits a cell, at least 64.
+    """Return the maximum number of bytes of a code on ``grid``: two bits per cell, but at least 64 bytes.
 
     >>> max_code_bytes(BevGrid())
     16384
@@ -57,7 +57,7 @@ def max_code_bytes(grid: BevGrid) -> int:
 
 @lru_cache(maxsize=16)
 def level_values(threshold: float) -> NDArray[np.float32]:
-    """Return the probability (16,) float32 that each level stands for, read-only: the middle of its interval.
+    """Return the probability (16,) float32 of each level, read-only: the middle of its interval.
 
     >>> level_values(0.5)[[0, 7, 8, 15]].tolist()
     [0.03125, 0.46875, 0.53125, 0.96875]
@@ -69,13 +69,13 @@ def level_values(threshold: float) -> NDArray[np.float32]:
 
 
 def encode_fov(estimate: FovEstimate) -> bytes:
-    """Return the code of the cells of an estimate; of its grid, threshold and time nothing is in it.
+    """Return the code of the cells of an estimate; it does not contain grid, threshold and time.
 
-    Where a view is too irregular for :func:`max_code_bytes`, levels between the extremes become two, and where that
-    does not suffice, deviations are left out: :func:`decode_fov` then gives NaN.
+    If the code is longer than :func:`max_code_bytes`, the levels are made coarse; if that is not enough, standard
+    deviations are left out, and :func:`decode_fov` returns NaN.
 
     Raises:
-        ValueError: more than 512 cells per side, or states so irregular that no code is short enough.
+        ValueError: there are more than 512 cells per side, or the states are too irregular for a short code.
     """
     grid = estimate.grid
     if grid.cells > MAX_CELLS:
@@ -88,16 +88,16 @@ def encode_fov(estimate: FovEstimate) -> bytes:
     if std is not None and has_std(estimate):
         levels = np.minimum(np.nan_to_num(std, nan=0.0) * (2 * STD_LEVELS), STD_LEVELS - 1).astype(np.uint8)
         deviation = np.where(np.isnan(std), np.uint8(_NO_STD), levels)
-    nothing = np.full_like(deviation, _NO_STD)
-    for each, deviations in ((level, deviation), (_COARSE[level], deviation), (_COARSE[level], nothing)):
-        code = _core.encode_view(estimate.state, each, deviations, *sensor_cell(grid))
+    no_deviation = np.full_like(deviation, _NO_STD)
+    for coded_level, deviations in ((level, deviation), (_COARSE[level], deviation), (_COARSE[level], no_deviation)):
+        code = _core.encode_view(estimate.state, coded_level, deviations, *sensor_cell(grid))
         if 0 < len(code) <= max_code_bytes(grid):
             return code
     raise ValueError("the states of a view must be regular enough for two bits a cell; got what looks like noise")
 
 
 def has_std(estimate: FovEstimate) -> bool:
-    """Return whether any cell of an estimate has a deviation: :func:`decode_fov` must be given this."""
+    """Return whether any cell of an estimate has a standard deviation, an argument of :func:`decode_fov`."""
     return estimate.std is not None and not bool(np.isnan(estimate.std).all())
 
 
@@ -105,32 +105,32 @@ def decode_fov(code: bytes, grid: BevGrid, threshold: float, with_std: bool) -> 
     """Return the cells of a code.
 
     Args:
-        code: what :func:`encode_fov` returned.
+        code: result of :func:`encode_fov`.
         grid: of the view.
         threshold: of the estimate.
-        with_std: whether it had deviations.
+        with_std: result of :func:`has_std` for the estimate.
 
     Raises:
-        ValueError: the grid is too large for messages, or the bytes are no code of such a view, or too many.
+        ValueError: the grid is too large for messages, or the bytes are too many or not a code of such a view.
     """
     if grid.cells > MAX_CELLS:
         raise ValueError(f"a view in a message must have at most {MAX_CELLS} cells per side, got {grid.cells}")
     if len(code) > max_code_bytes(grid):
         raise ValueError(f"the code of a view must have at most {max_code_bytes(grid)} bytes, got {len(code)}")
-    found = _core.decode_view(
+    cells = _core.decode_view(
         np.frombuffer(code, np.uint8),
         grid.cells,
         *sensor_cell(grid),
         prob=level_values(threshold),
         std=_STD_VALUES if with_std else _STD_VALUES[:0],
     )
-    if found is None:
+    if cells is None:
         raise ValueError("the code of a view is damaged, or not of this grid")
-    return ViewCells(*found)
+    return ViewCells(*cells)
 
 
 def sensor_cell(grid: BevGrid) -> tuple[int, int]:
-    """Return row and column of the cell that the sensor stands in, or of the nearest to it.
+    """Return row and column of the sensor's cell, or of the nearest cell of the grid.
 
     >>> sensor_cell(BevGrid(256, 64.0))
     (128, 128)

@@ -1,4 +1,4 @@
-"""How viewers draw tracks: a word and a color for each explanation, and for what a center of many agents believes."""
+"""Legend of tracks in viewers: a word and a color for each explanation, and for what a command center believes."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ if TYPE_CHECKING:
 
 
 class LegendItem(NamedTuple):
-    """A word, and the color red, green, blue in [0, 1] of its tracks."""
+    """A word, and the color (red, green, blue in [0, 1]) of its tracks."""
 
     word: str
     color: tuple[float, float, float]
 
 
 BELIEVED, NOT_BELIEVED = len(Explanation), len(Explanation) + 1
-"""Places of a center's tracks in the legend."""
+"""Indices of a center's tracks in the legend."""
 
 LEGEND = (
     LegendItem("seen", (0.08, 0.55, 0.16)),
@@ -42,32 +42,32 @@ LEGEND = (
     LegendItem("believed", (0.08, 0.55, 0.16)),
     LegendItem("not believed", (0.90, 0.06, 0.10)),
 )
-"""By :class:`Explanation`, then ``BELIEVED`` and ``NOT_BELIEVED``: cool colors say nothing against a track."""
+"""By :class:`Explanation`, then ``BELIEVED`` and ``NOT_BELIEVED``; cool colors are not suspicious."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ShownTracks:
-    """Tracks as they are drawn, in one frame."""
+    """Tracks to draw, in one frame."""
 
     ids: NDArray[np.int64]  # (K,) int64
     boxes: NDArray[np.float64]  # (K, 7) columns ``viewshed.detections.BOX_COLUMNS``
     velocities: NDArray[np.float64]  # (K, 2) m/s along x and y
     existence: NDArray[np.float64]  # (K,) probability
-    legend: NDArray[np.intp]  # (K,) places in ``LEGEND``
-    reasons: tuple[str, ...]  # (K,) a sentence each
+    legend: NDArray[np.intp]  # (K,) indices in ``LEGEND``
+    reasons: tuple[str, ...]  # (K,) one sentence each
 
     def __len__(self) -> int:
         """Return the number of tracks."""
         return len(self.ids)
 
     def moved(self, other_from_here: Rigid) -> ShownTracks:
-        """Return them in another frame whose z axis is upright as well."""
+        """Return the tracks in another frame with an upright z axis."""
         turn = other_from_here.rotation[:2, :2]
         return replace(self, boxes=moved_boxes(self.boxes, other_from_here), velocities=self.velocities @ turn.T)
 
 
 def tracks_of_agent(seen: SeenObjects) -> ShownTracks:
-    """Return the tracks of one agent that are shown, in their own frame."""
+    """Return the tracks of one agent to show, in their own frame."""
     explained, chosen = seen.explained, np.flatnonzero(seen.shown)
     tracks = explained.tracks
     return ShownTracks(
@@ -77,7 +77,7 @@ def tracks_of_agent(seen: SeenObjects) -> ShownTracks:
 
 
 def explained_rows(seen: SeenObjects, shown: ShownTracks) -> list[dict[str, object]]:
-    """Return what describes each track that is shown, as plain values; boxes in the frame of ``shown``."""
+    """Return a description of each shown track as plain values; boxes in the frame of ``shown``."""
     explained, chosen = seen.explained, np.flatnonzero(seen.shown)
     return [
         {
@@ -92,7 +92,7 @@ def explained_rows(seen: SeenObjects, shown: ShownTracks) -> list[dict[str, obje
 
 
 def tracks_of_center(picture: CommonPicture) -> ShownTracks:
-    """Return the confirmed joint tracks of many agents, in the world."""
+    """Return the confirmed or believed joint tracks of a center, in the world."""
     tracks, chosen = picture.tracks, np.flatnonzero(picture.tracks.confirmed | picture.believed)
     names = np.array(picture.agents)
     reported = [", ".join(names[picture.reporters[k]]) for k in chosen]

@@ -1,7 +1,7 @@
-"""What arrives, taken or refused: each message costs a bounded amount of work, and each refusal has a counted reason.
+"""Accept or refuse incoming messages: bounded work per message, and a counted reason for each refusal.
 
-Size, form, key, age, sequence and rate are looked at before the signature, and no state changes before it is verified:
-a forger can neither spend the rate of an honest agent nor move its sequence number.
+Size, format, key, age, sequence number and rate are checked before the signature, and no state changes before it is
+verified: a forger can neither use up an honest agent's rate limit nor advance its sequence number.
 """
 
 from __future__ import annotations
@@ -29,13 +29,13 @@ from viewshed.fov.estimate import CellState
 from viewshed.grid import BevGrid
 
 SEQUENCES_KEPT = 64
-"""Number of signatures of each key, before the newest, that are kept to tell a copy from another message."""
+"""Signatures kept per key, the most recent ones, to tell a duplicate from a different message of the same number."""
 
 NUMBERS_PER_S = 1000
-"""A sequence number may rise by this a second of the agent's clock, and once by this more: no agent sends so often."""
+"""Maximum increase of a sequence number per second of the agent's clock, plus this much once; no agent sends faster."""
 
 MAX_LINKS = 256
-"""Links that are remembered; of more the longest unused is forgotten."""
+"""Maximum number of links with their own budget; beyond it, the least recently used one is evicted."""
 
 _NS = 1_000_000_000
 
@@ -73,17 +73,17 @@ class Reason(Enum):
 
 @dataclass(frozen=True, slots=True)
 class ReceiverLimits:
-    """What a receiver takes."""
+    """Limits on size, age, rate and verification work that a receiver enforces."""
 
     max_bytes: int = MAX_BYTES  # of a signed message
     max_age_s: float = 1.0  # largest age of a message by the receiver's clock
-    max_ahead_s: float = 0.5  # and so far in its future
-    max_hz: float = 25.0  # messages a second of one agent, over a while
-    burst: int = 10  # messages of one agent at once
-    forged_per_s: float = 5.0  # forged messages of one link and second that are still verified, over a while
-    forged_burst: int = 50  # and at once
-    # seconds of work a second that forged messages may cost, whatever link they come by. Half of it is for all, the
-    # other half is split among the keys, so that forging under one leaves the others theirs.
+    max_ahead_s: float = 0.5  # largest lead of its time stamp over the receiver's clock
+    max_hz: float = 25.0  # sustained messages per second and agent
+    burst: int = 10  # messages of one agent in a burst
+    forged_per_s: float = 5.0  # sustained forged messages per second and link that are still verified
+    forged_burst: int = 50  # the same in a burst
+    # CPU seconds per second that verifying forged messages may cost, over all links. Half of it is shared by all keys;
+    # the other half is split evenly among them, so that forging under one key leaves the others their part.
     forged_share: float = 0.25
 
     def __post_init__(self) -> None:
@@ -100,22 +100,22 @@ class ReceiverLimits:
 
 @dataclass(frozen=True, slots=True)
 class Receipt:
-    """What became of one message."""
+    """Result of receiving one message."""
 
-    message: ViewMessage | None  # what it says, or None where it was refused
+    message: ViewMessage | None  # decoded message, or None where it was refused
     reason: Reason | None = None  # why it was refused, or None
-    agent: str = ""  # who it is from by its own words, empty where nobody could be read
-    detail: str = ""  # more of the reason, for people
+    agent: str = ""  # sender it claims, not always verified; empty where none could be read
+    detail: str = ""  # human-readable detail of the reason
 
 
 @dataclass(slots=True)
 class AgentRecord:
-    """What a receiver remembers of an agent."""
+    """Rate limit and message counts of one agent."""
 
-    bucket: Bucket  # messages that it may send
-    lost: int = 0  # messages before the newest that have not come
-    taken: int = 0  # messages taken
-    # messages refused after its signature was verified, by reason
+    bucket: Bucket  # rate limit: messages it may still send
+    lost: int = 0  # messages before the newest one that have not arrived
+    taken: int = 0  # messages accepted
+    # messages refused after their signature was verified, by reason
     refused: Counter[Reason] = field(default_factory=Counter)
 
 
@@ -127,14 +127,14 @@ class _RefusedError(Exception):
 
 
 KEPT_AHEAD_NS = 500_000_000
-"""The file names a time so far behind the newest message, so that it is written twice a second at most."""
+"""The state file names a time this far after the newest message, so that it is written at most twice a second."""
 
 _MAX_FILE_BYTES = 1_000_000
 
 
 @dataclass(slots=True)
 class Bucket:
-    """Tokens that come back at a constant rate."""
+    """Token bucket, refilled at a constant rate."""
 
     rate: float
     size: float
@@ -142,7 +142,7 @@ class Bucket:
     at_ns: int
 
     def level(self, now_ns: int) -> float:
-        """Return the tokens that are there at a time of a clock that never goes back."""
+        """Refill up to ``now_ns`` of a monotonic clock and return the tokens available."""
         self.tokens = min(self.size, self.tokens + self.rate * (now_ns - self.at_ns) / 1e9)
         self.at_ns = now_ns
         return self.tokens
@@ -150,21 +150,21 @@ class Bucket:
 
 @dataclass(slots=True)
 class Stream:
-    """The messages of one key."""
+    """Sequence state of one key."""
 
-    budget: Bucket  # seconds of work that forged messages under this key may cost
-    epoch: int = -1  # greatest epoch that was signed with it, -1 for none
-    newest: int = -1  # greatest sequence number of that epoch, -1 for none since the receiver began
-    newest_ns: int | None = None  # nothing is taken that is stamped earlier; None where nothing is known of the key
-    kept_ns: int = -1  # time that the file names
-    signatures: dict[int, bytes] = field(default_factory=dict)  # of the newest messages, by their numbers
+    budget: Bucket  # verification time that forged messages under this key may cost
+    epoch: int = -1  # greatest epoch accepted, -1 for none
+    newest: int = -1  # greatest sequence number of that epoch, -1 where this receiver has accepted none
+    newest_ns: int | None = None  # earlier time stamps are refused; None where nothing is known of the key
+    kept_ns: int = -1  # time in the state file
+    signatures: dict[int, bytes] = field(default_factory=dict)  # of the newest messages, by sequence number
 
 
 def read_state(path: Path) -> dict[bytes, tuple[int, int]]:
-    """Return epoch and time of each key id; nothing where there is no file yet.
+    """Return epoch and time of each key id from a state file; empty where the file does not exist yet.
 
     Raises:
-        ValueError: it is no such file.
+        ValueError: it is not a state file.
         OSError: it cannot be read.
     """
     if not path.exists():
@@ -172,51 +172,50 @@ def read_state(path: Path) -> dict[bytes, tuple[int, int]]:
     try:
         if path.stat().st_size > _MAX_FILE_BYTES:
             raise ValueError("it is too large")
-        found = {bytes.fromhex(key): (epoch, t_ns) for key, (epoch, t_ns) in json.loads(path.read_bytes()).items()}
-        for epoch, t_ns in found.values():
+        state = {bytes.fromhex(key): (epoch, t_ns) for key, (epoch, t_ns) in json.loads(path.read_bytes()).items()}
+        for epoch, t_ns in state.values():
             if type(epoch) is not int or type(t_ns) is not int or epoch > MAX_EPOCH or not 0 <= t_ns <= 2 * MAX_T_NS:
                 raise ValueError("it holds other numbers")
     except (ValueError, TypeError, AttributeError, RecursionError) as error:
         raise ValueError(f"state must be a file that a receiver wrote, got {path} ({error}); remove it") from error
-    return found
+    return state
 
 
 def write_state(path: Path, streams: Mapping[bytes, Stream]) -> None:
-    """Write epoch and time of each key, so that what was taken is not taken by the next receiver.
+    """Write epoch and time of each key, so that the next receiver refuses what this one has accepted.
 
     Raises:
         OSError: it cannot be written.
     """
-    found = {}
+    state = {}
     for key_id, stream in streams.items():
         if stream.newest_ns is not None:
-            # A key that nobody has used since the file was read keeps its time.
+            # A key not used since the file was read keeps its time.
             ahead_ns = KEPT_AHEAD_NS if stream.newest >= 0 else 0
-            found[key_id.hex()] = (stream.epoch, stream.newest_ns + ahead_ns)
-    write_atomic(path, json.dumps(found).encode())
+            state[key_id.hex()] = (stream.epoch, stream.newest_ns + ahead_ns)
+    write_atomic(path, json.dumps(state).encode())
     for key_id, stream in streams.items():
-        stream.kept_ns = found.get(key_id.hex(), (-1, -1))[1]
+        stream.kept_ns = state.get(key_id.hex(), (-1, -1))[1]
 
 
 class Receiver:
-    """Takes or refuses signed messages.
+    """Accepts or refuses signed messages.
 
-    A receiver that begins cannot know what the one before it took. Without ``state`` it refuses all that is stamped, by
-    the agent's clock, before its own start and ``max_ahead_s``: the one before it took nothing that was stamped later.
+    A new receiver does not know what its predecessor accepted. Without ``state`` it refuses every time stamp before its
+    own start plus ``max_ahead_s``, because the predecessor accepted nothing stamped later.
 
     Args:
-        keys: whom to believe.
-        frames: names of maps that poses may be in.
-        grids: grids that views may be on; None takes any that a message can have.
+        keys: public keys of the trusted agents.
+        frames: names of the maps that poses may be in.
+        grids: grids that views may be on; None accepts any that a message can have.
         own: the receiver's own name, or empty.
-        limits: sizes, ages and rates.
-        state: file that keeps epoch and time of the newest message of each key, for the next receiver: replays are
-            then refused even where its clock is wrong. Written about twice a second, and by one receiver alone; None
-            keeps nothing.
-        start_ns: since when it listens, by its clock; None: since its first message.
+        limits: limits on sizes, ages and rates.
+        state: file with epoch and time of the newest message of each key, for the next receiver, which then refuses
+            replays even if its clock is wrong. Written about twice a second, by one receiver only; None keeps nothing.
+        start_ns: start of listening by its own clock; None is the time of the first message.
 
     Raises:
-        ValueError: the file is none that a receiver wrote.
+        ValueError: the file was not written by a receiver.
         OSError: it cannot be read.
     """
 
@@ -243,20 +242,20 @@ class Receiver:
         self._start_ns, self._now_ns, self._passed_ns = start_ns, start_ns, 0
         self._forged = Bucket(1.0, 1.0, 1.0, 0)
         self._state = None if state is None else Path(state)
-        kept = {} if self._state is None else read_state(self._state)
+        last_state = {} if self._state is None else read_state(self._state)
         self._streams = {
             key_id: Stream(Bucket(1.0, 1.0, 1.0, 0), epoch, newest_ns=t_ns, kept_ns=t_ns)
-            for key_id, (epoch, t_ns) in kept.items()
+            for key_id, (epoch, t_ns) in last_state.items()
         }
 
     def receive(self, data: bytes | bytearray | memoryview, now_ns: int, link: str = "") -> Receipt:
-        """Return what a message says, or why it is refused; never raises because of what the bytes are.
+        """Return the decoded message, or the reason for refusing it; never raises because of the bytes received.
 
         Args:
-            data: what arrived.
+            data: bytes that arrived.
             now_ns: the receiver's clock, nanoseconds since 1970.
-            link: who brought it, if the transport knows; a link that brings forged messages is not listened to for a
-                while. Where that is not known, leave it out: others' messages come the same way.
+            link: peer that delivered it, if the transport knows; a link that delivers forged messages is ignored for a
+                while. Leave it empty if unknown, because other agents' messages arrive the same way.
         """
         agent = ""
         self._pass_time(now_ns)
@@ -277,7 +276,7 @@ class Receiver:
                 raise _RefusedError(Reason.MALFORMED, str(error)) from None
             agent = heading.agent
             key = self._key_of(envelope.key_id, heading)
-            # Of an agent whose key is known, so that there are no more of them than keys.
+            # Only agents with a known key get a record: the number of records is bounded by the number of keys.
             burst = float(self.limits.burst)
             record = self.agents.setdefault(
                 agent, AgentRecord(Bucket(self.limits.max_hz, burst, burst, self._passed_ns))
@@ -296,14 +295,14 @@ class Receiver:
         return Receipt(message, None, agent)
 
     def _pass_time(self, now_ns: int) -> None:
-        """Count the time that passes for rates and budgets, in which a clock that is set back stands still."""
+        """Advance the monotonic time of rates and budgets; it stands still while the clock is set back."""
         self._passed_ns += 0 if self._now_ns is None else max(0, now_ns - self._now_ns)
         self._now_ns = now_ns
-        # Set back behind the start, the clock begins anew: otherwise nothing is taken until it gets there again.
+        # Clock set back before the start: move the start, or all messages are refused until the clock catches up.
         self._start_ns = now_ns if self._start_ns is None else min(self._start_ns, now_ns)
 
     def _link(self, link: str) -> Bucket | None:
-        """Return the bucket of forged messages of a link, the longest unused one given up for a new one."""
+        """Return the bucket of forged messages of a link; a new link may evict the least recently used one."""
         if not link:
             return None
         bucket = self._links.get(link)
@@ -331,7 +330,7 @@ class Receiver:
     def _check_heading(
         self, heading: MessageHeading, signature: bytes, stream: Stream, record: AgentRecord, now_ns: int
     ) -> None:
-        """Look at age, epoch, sequence and rate. Nothing is remembered yet, for anybody can write a heading."""
+        """Check age, epoch, sequence number and rate; change no state, because a heading is not authenticated."""
         age_s = (now_ns - heading.t_ns) / _NS
         if age_s > self.limits.max_age_s:
             raise _RefusedError(Reason.TOO_OLD, f"by {age_s - self.limits.max_age_s:.3f} s")
@@ -344,53 +343,53 @@ class Receiver:
             raise _RefusedError(Reason.TOO_OFTEN, f"more than {self.limits.max_hz:g} a second")
 
     def _check_first(self, heading: MessageHeading, stream: Stream) -> None:
-        """Refuse what a receiver before this one may have taken, where this one has taken nothing of the key."""
-        until_ns = stream.newest_ns
-        if until_ns is None:
-            until_ns = (self._start_ns or 0) + round(self.limits.max_ahead_s * _NS)
-        if heading.t_ns <= until_ns:
-            raise _RefusedError(Reason.BEFORE_START, f"by {(until_ns - heading.t_ns) / _NS:.3f} s")
+        """Refuse what an earlier receiver may have accepted, where this one has accepted nothing of the key."""
+        barred_until_ns = stream.newest_ns
+        if barred_until_ns is None:
+            barred_until_ns = (self._start_ns or 0) + round(self.limits.max_ahead_s * _NS)
+        if heading.t_ns <= barred_until_ns:
+            raise _RefusedError(Reason.BEFORE_START, f"by {(barred_until_ns - heading.t_ns) / _NS:.3f} s")
 
     def _check_number(self, heading: MessageHeading, signature: bytes, stream: Stream) -> None:
-        """Look at epoch and sequence number; those of an epoch are compared with each other alone."""
+        """Check epoch and sequence number; sequence numbers are compared only within an epoch."""
         if heading.epoch < stream.epoch:
             raise _RefusedError(
                 Reason.OLD_EPOCH,
                 f"epoch {heading.epoch} after {stream.epoch}; two senders have one key, or start it again",
             )
-        # The time is bounded by the receiver's clock: no epoch can shut an agent out for longer than max_ahead_s.
+        # The receiver's clock bounds t_ns, so no epoch can lock an agent out for longer than max_ahead_s.
         if heading.epoch * 1_000_000 > heading.t_ns:
             raise _RefusedError(Reason.EPOCH_AHEAD, f"epoch {heading.epoch} at {heading.t_ns // 1_000_000} ms")
-        is_known = heading.epoch == stream.epoch and stream.newest >= 0
-        known = stream.signatures.get(heading.sequence) if is_known else None
-        if known == signature:
+        same_epoch = heading.epoch == stream.epoch and stream.newest >= 0
+        known_signature = stream.signatures.get(heading.sequence) if same_epoch else None
+        if known_signature == signature:
             raise _RefusedError(Reason.DOUBLED, f"number {heading.sequence}")
-        if is_known and known is None and heading.sequence <= stream.newest:
+        if same_epoch and known_signature is None and heading.sequence <= stream.newest:
             raise _RefusedError(Reason.LATE, f"number {heading.sequence} after {stream.newest}")
-        if known is None and stream.newest_ns is not None and heading.t_ns < stream.newest_ns:
+        if known_signature is None and stream.newest_ns is not None and heading.t_ns < stream.newest_ns:
             raise _RefusedError(Reason.CLOCK_WENT_BACK, f"by {(stream.newest_ns - heading.t_ns) / _NS:.3f} s")
-        if is_known and stream.newest_ns is not None:
-            most = stream.newest + round(NUMBERS_PER_S * (1.0 + (heading.t_ns - stream.newest_ns) / _NS))
-            if heading.sequence > most:
+        if same_epoch and stream.newest_ns is not None:
+            max_sequence = stream.newest + round(NUMBERS_PER_S * (1.0 + (heading.t_ns - stream.newest_ns) / _NS))
+            if heading.sequence > max_sequence:
                 raise _RefusedError(Reason.JUMPED, f"number {heading.sequence} after {stream.newest}; start it again")
 
     def _is_signed(self, data: bytes, key: VerifyingKey, stream: Stream) -> bool:
-        """Verify a signature, if those that were forged have left time for it: of this key, or of all."""
+        """Verify a signature, if forged messages have left time for it in this key's budget or in the shared one."""
         half_s = 0.5 * self.limits.forged_share
-        parts = ((stream.budget, half_s / max(len(self.keys), 1)), (self._forged, half_s))
-        for budget, part_s in parts:
+        budgets = ((stream.budget, half_s / max(len(self.keys), 1)), (self._forged, half_s))
+        for budget, share_s in budgets:
             if budget.level(self._passed_ns) > 0.0:
-                begin_ns = thread_time_ns()
+                start_ns = thread_time_ns()
                 is_signed = is_signed_by(data, key)
                 if not is_signed:
-                    budget.tokens -= (thread_time_ns() - begin_ns) / _NS / part_s
+                    budget.tokens -= (thread_time_ns() - start_ns) / _NS / share_s
                 return is_signed
         raise _RefusedError(Reason.NO_TIME, f"{self.limits.forged_share:g} s a second")
 
     def _check_content(
         self, payload: bytes, signature: bytes, heading: MessageHeading, stream: Stream, record: AgentRecord
     ) -> ViewMessage:
-        """Remember the signed message, and decode and check what it says."""
+        """Record the verified message, then decode and check its content."""
         record.bucket.tokens -= 1.0
         try:
             if heading.epoch == stream.epoch and heading.sequence in stream.signatures:
@@ -408,14 +407,14 @@ class Receiver:
         return message
 
     def _remember(self, heading: MessageHeading, signature: bytes, stream: Stream, record: AgentRecord) -> None:
-        """Make a message the newest of its key, for this receiver and, where it keeps a file, for the next one."""
+        """Make a message the newest of its key, here and in the state file if there is one."""
         if heading.epoch != stream.epoch:
             stream.signatures = {}
         elif stream.newest >= 0:
             record.lost += heading.sequence - stream.newest - 1
         stream.epoch, stream.newest, stream.newest_ns = heading.epoch, heading.sequence, heading.t_ns
-        oldest = stream.newest - SEQUENCES_KEPT
-        stream.signatures = {number: each for number, each in stream.signatures.items() if number > oldest}
+        newest_dropped = stream.newest - SEQUENCES_KEPT
+        stream.signatures = {number: each for number, each in stream.signatures.items() if number > newest_dropped}
         stream.signatures[heading.sequence] = signature
         if self._state is not None and heading.t_ns > stream.kept_ns:
             try:
@@ -433,7 +432,7 @@ class Receiver:
                 raise _RefusedError(Reason.EMPTY_VIEW)
 
     def summary(self) -> list[str]:
-        """Return a sentence for the messages taken, for each reason of refusal, and for each agent's losses."""
+        """Return lines of text: messages accepted and refused, refusals by reason, and losses by agent."""
         lines = [f"{self.taken} taken, {self.refused.total()} refused"]
         lines += [f"{count} refused: {reason.value}" for reason, count in self.refused.most_common()]
         return lines + [f"{name}: {each.taken} taken, {each.lost} lost" for name, each in sorted(self.agents.items())]

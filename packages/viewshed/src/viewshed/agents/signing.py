@@ -1,7 +1,7 @@
-"""Signed messages: COSE_Sign1 (RFC 9052) with Ed25519, by cwt; and the keys of the agents that one believes.
+"""Signed messages: COSE_Sign1 (RFC 9052) with Ed25519 by cwt, and the key ring of trusted agents.
 
-The envelope has one form: tag 18, protected header {1: -8, 4: key id}, no unprotected header, payload, signature. It is
-taken apart by hand before cwt sees it, so that nothing but the bytes to be verified is read of what nobody has signed.
+The envelope has one fixed form: tag 18, protected header {1: -8, 4: key id}, empty unprotected header, payload,
+signature. It is parsed by hand first, so that cwt gets nothing of an unverified message but the bytes to verify.
 """
 
 from __future__ import annotations
@@ -26,27 +26,27 @@ FOREVER_NS = 2**63 - 1
 
 _ED25519 = {1: 1, 3: -8, -1: 6}  # key type OKP, algorithm EdDSA, curve Ed25519
 
-# COSE_Sign1 of four parts; a protected header of 13 bytes: EdDSA, and a key id of 8 bytes.
+# Array of four parts with tag COSE_Sign1; protected header of 13 bytes: EdDSA, and a key id of 8 bytes.
 _BEFORE_ID = bytes.fromhex("d2844da201270448")
 _AFTER_ID = bytes.fromhex("a0")
 _BEFORE_SIGNATURE = bytes.fromhex("5840")
 
 
-_is_strong = lru_cache(maxsize=256)(has_large_order)  # a key is made again with each message that it signs
+_is_strong = lru_cache(maxsize=256)(has_large_order)  # a signing key builds its public key per message
 
 
 @dataclass(frozen=True)
 class VerifyingKey:
-    """The public key of one agent.
+    """Public key of one agent.
 
     Raises:
-        ValueError: the key is none, or one that anybody can sign for; or it is valid at no time.
+        ValueError: the key is invalid, anyone can sign for it, or its validity period is empty.
     """
 
-    agent: str  # whose key it is
+    agent: str  # owner of the key
     public: bytes  # 32 bytes
     from_ns: int = 0  # time of the first message that it may sign, nanoseconds since 1970
-    until_ns: int = FOREVER_NS  # time of the last
+    until_ns: int = FOREVER_NS  # time of the last message that it may sign
 
     def __post_init__(self) -> None:
         require_name("agent", self.agent)
@@ -62,12 +62,12 @@ class VerifyingKey:
 
     @property
     def key_id(self) -> bytes:
-        """The first bytes of the SHA-256 of the public key."""
+        """First 8 bytes of the SHA-256 of the public key."""
         return hashlib.sha256(self.public).digest()[:KEY_ID_BYTES]
 
     @cached_property
     def cose(self) -> Any:
-        """The key as cwt takes it."""
+        """The key as a cwt object."""
         with needed_for("reading signed messages"):
             from cwt import COSEKey
         return COSEKey.new({**_ED25519, -2: self.public, 2: self.key_id})
@@ -75,42 +75,42 @@ class VerifyingKey:
 
 @dataclass(frozen=True)
 class SigningKey:
-    """The private key of one agent: 32 bytes that only it has."""
+    """Private key of one agent: 32 bytes, secret to it."""
 
     agent: str
     private: bytes = field(repr=False)
 
     @classmethod
     def generate(cls, agent: str) -> SigningKey:
-        """Return a new key from the system's source of randomness."""
+        """Return a new key from the system's random source."""
         with needed_for("making a key"):
             from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
         return cls(agent, Ed25519PrivateKey.generate().private_bytes_raw())
 
     @cached_property
     def public(self) -> bytes:
-        """The public key, 32 bytes."""
+        """Public key, 32 bytes."""
         with needed_for("signing messages"):
             from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
         return Ed25519PrivateKey.from_private_bytes(self.private).public_key().public_bytes_raw()
 
     def verifying(self, from_ns: int = 0, until_ns: int = FOREVER_NS) -> VerifyingKey:
-        """Return the public key, to be given to others."""
+        """Return the public key, to distribute to other agents."""
         return VerifyingKey(self.agent, self.public, from_ns, until_ns)
 
     @cached_property
     def cose(self) -> Any:
-        """The key as cwt takes it."""
+        """The key as a cwt object."""
         with needed_for("signing messages"):
             from cwt import COSEKey
         return COSEKey.new({**_ED25519, -2: self.public, -4: self.private, 2: self.verifying().key_id})
 
 
 def read_signing_key(agent: str, path: str) -> SigningKey:
-    """Return the private key of an agent in a file: 64 hexadecimal digits.
+    """Read the private key of an agent from a file of 64 hexadecimal digits.
 
     Raises:
-        ValueError: the file holds something else, or others than its owner may read or write it.
+        ValueError: the file has other content, or users other than its owner may read or write it.
         OSError: it cannot be read.
     """
     require_private(path)
@@ -118,10 +118,10 @@ def read_signing_key(agent: str, path: str) -> SigningKey:
 
 
 def read_verifying_keys(agents: list[str], paths: list[str]) -> tuple[VerifyingKey, ...]:
-    """Return the public keys of agents, a file of 64 hexadecimal digits each.
+    """Read the public keys of agents, each from a file of 64 hexadecimal digits.
 
     Raises:
-        ValueError: there is another number of files, or one holds something else or a key that anybody can sign for.
+        ValueError: the number of files differs, or a file has other content or a key that anyone can sign for.
         OSError: one cannot be read.
     """
     if len(agents) != len(paths) or len(set(agents)) != len(agents) or not agents:
@@ -130,7 +130,7 @@ def read_verifying_keys(agents: list[str], paths: list[str]) -> tuple[VerifyingK
 
 
 def require_private(path: str | Path) -> None:
-    """Raise ValueError where others than its owner may read or write the file of a private key."""
+    """Raise ValueError if users other than its owner may read or write the file of a private key."""
     mode = stat.S_IMODE(Path(path).stat().st_mode)
     if os.name == "posix" and mode & 0o077:
         raise ValueError(f"a private key must be its owner's alone, got mode {mode:04o} of {path}; chmod 600 {path}")
@@ -139,16 +139,16 @@ def require_private(path: str | Path) -> None:
 def _key_bytes(path: str) -> bytes:
     text = Path(path).read_text(encoding="ascii", errors="replace").strip()
     try:
-        found = bytes.fromhex(text)
+        key = bytes.fromhex(text)
     except ValueError:
-        found = b""
-    if len(found) != 32:
+        key = b""
+    if len(key) != 32:
         raise ValueError(f"a key must be 64 hexadecimal digits, got {len(text)} characters in {path}")
-    return found
+    return key
 
 
 class KeyRing:
-    """The public keys that a receiver believes, by their ids. An agent may have several: the old one and the next."""
+    """Public keys that a receiver trusts, by key id; an agent may have several, such as the old and the next one."""
 
     def __init__(self, keys: tuple[VerifyingKey, ...] = ()) -> None:
         self._keys: dict[bytes, VerifyingKey] = {}
@@ -160,28 +160,28 @@ class KeyRing:
         return len(self._keys)
 
     def add(self, key: VerifyingKey) -> None:
-        """Believe a key.
+        """Trust a key.
 
         Raises:
-            ValueError: the same key belongs to another agent already.
+            ValueError: the same key already belongs to another agent.
         """
-        known = self._keys.get(key.key_id)
-        if known is not None and known.agent != key.agent:
-            raise ValueError(f"a key must belong to one agent, got that of {known.agent!r} for {key.agent!r}")
+        existing = self._keys.get(key.key_id)
+        if existing is not None and existing.agent != key.agent:
+            raise ValueError(f"a key must belong to one agent, got that of {existing.agent!r} for {key.agent!r}")
         self._keys[key.key_id] = key
 
     def remove(self, key: VerifyingKey) -> None:
-        """Believe a key no longer."""
+        """Stop trusting a key."""
         self._keys.pop(key.key_id, None)
 
     def find(self, key_id: bytes) -> VerifyingKey | None:
-        """Return the key of an id, or None."""
+        """Return the key with an id, or None."""
         return self._keys.get(key_id)
 
 
 @dataclass(frozen=True, slots=True)
 class Envelope:
-    """A signed message taken apart; nothing of it is verified."""
+    """Parts of a signed message, not verified."""
 
     key_id: bytes
     payload: bytes
@@ -190,7 +190,7 @@ class Envelope:
 
 @dataclass(frozen=True, slots=True)
 class MessageHeading:
-    """What is read of a payload before its signature is verified."""
+    """First fields of a payload, read before its signature is verified."""
 
     agent: str
     epoch: int
@@ -199,7 +199,7 @@ class MessageHeading:
 
 
 class OtherVersionError(ValueError):
-    """A payload has another version of the format."""
+    """The payload has another version of the format."""
 
 
 def sign_message(message: ViewMessage, key: SigningKey) -> bytes:
@@ -218,7 +218,7 @@ def sign_message(message: ViewMessage, key: SigningKey) -> bytes:
 
 
 def sign(payload: bytes, key: SigningKey) -> bytes:
-    """Return the envelope of a payload."""
+    """Return the signed envelope of a payload."""
     with needed_for("signing messages"):
         from cwt import COSE
     signed: bytes = COSE.new().encode(payload, key=key.cose, protected={1: -8, 4: key.verifying().key_id})
@@ -226,44 +226,44 @@ def sign(payload: bytes, key: SigningKey) -> bytes:
 
 
 def open_envelope(data: bytes) -> Envelope:
-    """Return the parts of an envelope, unverified.
+    """Return the parts of an envelope, not verified.
 
     Raises:
         ValueError: it has another form, or too many bytes.
     """
     if len(data) > MAX_BYTES:
         raise ValueError(f"a signed message must have at most {MAX_BYTES} bytes, got {len(data)}")
-    begin = len(_BEFORE_ID) + KEY_ID_BYTES
-    if data[: len(_BEFORE_ID)] != _BEFORE_ID or data[begin : begin + 1] != _AFTER_ID:
+    header_end = len(_BEFORE_ID) + KEY_ID_BYTES
+    if data[: len(_BEFORE_ID)] != _BEFORE_ID or data[header_end : header_end + 1] != _AFTER_ID:
         raise ValueError("a message must be COSE_Sign1 with EdDSA and a key id of 8 bytes")
-    reader = cbor.Reader(data, begin + 1)
+    reader = cbor.Reader(data, header_end + 1)
     major, _, length = reader.head()
     end = reader.at + length
     if major != 2 or len(data) != end + 2 + SIGNATURE_BYTES or data[end : end + 2] != _BEFORE_SIGNATURE:
         raise ValueError("a message must be a payload and a signature of 64 bytes")
-    return Envelope(data[begin - KEY_ID_BYTES : begin], data[reader.at : end], data[end + 2 :])
+    return Envelope(data[header_end - KEY_ID_BYTES : header_end], data[reader.at : end], data[end + 2 :])
 
 
 def read_heading(payload: bytes) -> MessageHeading:
-    """Return sender, epoch, sequence number and time of a payload; they come first.
+    """Return sender, epoch, sequence number and time of a payload, its first fields.
 
     Raises:
-        OtherVersionError: it begins as a payload of another version.
-        ValueError: it does not begin as a payload.
+        OtherVersionError: the payload has another version.
+        ValueError: it does not begin like a payload.
     """
     reader = cbor.Reader(payload)
     major, _, _ = reader.head()
-    found: list[Any] = []
-    for expected in range(4):
+    values: list[Any] = []
+    for expected_key in range(4):
         key_major, _, key = reader.head()
-        if major != 5 or (key_major, key) != (0, expected):
+        if major != 5 or (key_major, key) != (0, expected_key):
             raise ValueError("a payload must begin with version, agent, number and t_ns")
-        found.append(reader.value(1))
-        if expected == 0 and type(found[0]) is int and found[0] != VERSION:
+        values.append(reader.value(1))
+        if expected_key == 0 and type(values[0]) is int and values[0] != VERSION:
             raise OtherVersionError(
-                f"the version of a payload must be {VERSION}, got {found[0]}; bring agent and receiver to one release"
+                f"the version of a payload must be {VERSION}, got {values[0]}; bring agent and receiver to one release"
             )
-    version, agent, number, t_ns = found
+    version, agent, number, t_ns = values
     if type(version) is not int or type(agent) is not str or type(t_ns) is not int:
         raise ValueError("a payload must begin with its version, a name, a number and a time")
     if type(number) is not list or [type(each) for each in number] != [int, int]:
@@ -274,7 +274,7 @@ def read_heading(payload: bytes) -> MessageHeading:
 
 
 def is_signed_by(data: bytes, key: VerifyingKey) -> bool:
-    """Return whether an envelope, of which :func:`open_envelope` found the form, is signed by a key."""
+    """Return whether a key has signed an envelope whose form :func:`open_envelope` has checked."""
     with needed_for("reading signed messages"):
         from cwt import COSE, VerifyError
     try:

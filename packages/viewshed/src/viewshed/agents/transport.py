@@ -1,6 +1,6 @@
-"""How messages get from agent to agent: by zenoh over a network.
+"""Transport of messages between agents by zenoh.
 
-A transport carries bytes and believes nothing. What arrives goes to a :class:`viewshed.agents.receiver.Receiver`.
+A transport carries bytes and verifies nothing: give what arrives to a :class:`viewshed.agents.receiver.Receiver`.
 """
 
 from __future__ import annotations
@@ -16,45 +16,45 @@ from viewshed.agents.signing import require_private
 from viewshed.agents.view_message import MAX_BYTES, require_name
 
 QUEUE = 256
-"""Messages that wait to be taken; the oldest give way."""
+"""Capacity of the queue of received messages; the oldest are dropped."""
 
 
 @dataclass(frozen=True, slots=True)
 class Delivery:
-    """Bytes that arrived."""
+    """One received message."""
 
-    data: bytes  # as they were sent, if nobody changed them
-    at_ns: int  # when they arrived, nanoseconds of the clock that :meth:`ZenohTransport.take` was given
-    link: str = ""  # who brought them, empty where the transport does not know for sure
+    data: bytes  # bytes as received, not verified
+    at_ns: int  # arrival time: the clock value given to :meth:`ZenohTransport.take`
+    link: str = ""  # peer that delivered it; empty if the transport does not know it for sure
 
 
 @dataclass(frozen=True, slots=True)
 class Tls:
-    """Certificates for links by TLS, as files in PEM."""
+    """Certificate files for TLS links, in PEM."""
 
-    authority: Path  # of whom certificates are believed
-    certificate: Path  # our own
-    key: Path  # the private key of our own certificate, which only its owner may read or write
+    authority: Path  # certificate authority to trust
+    certificate: Path  # own certificate
+    key: Path  # private key of the own certificate, which only its owner may read or write
 
 
 class ZenohTransport:
-    """Sends by zenoh: each agent publishes under its name, and subscribes to all names.
+    """Publish/subscribe by zenoh: each agent publishes under its name and subscribes to all names.
 
-    Links are not reported: who publishes under which name is not known for sure. Agents find each other by multicast
-    only where ``multicast`` says so; otherwise by the endpoints that are given.
+    ``link`` stays empty, because zenoh does not authenticate who publishes under a name. Agents connect by the given
+    endpoints, and discover each other by multicast only with ``multicast``.
 
     Args:
         name: of the agent.
-        topic: what messages are published under, for example ``viewshed/views``.
+        topic: prefix of the key under which messages are published, for example ``viewshed/views``.
         connect: endpoints to connect to, for example ``tcp/10.0.0.2:7447`` or ``tls/mast:7447``.
         listen: endpoints to listen at.
-        multicast: look for others by multicast.
-        tls: certificates, for endpoints that begin with ``tls``; both sides must show theirs.
+        multicast: discover others by multicast.
+        tls: certificates, for endpoints that begin with ``tls``; both sides must present theirs.
 
     Raises:
         ImportError: eclipse-zenoh is not installed.
-        ValueError: the name or the topic is none, or others than its owner may read or write the private key.
-        OSError: the private key cannot be read, or zenoh could not open a session with these endpoints.
+        ValueError: the name or the topic is invalid, or users other than its owner may access the private key.
+        OSError: the private key cannot be read, or zenoh cannot open a session with these endpoints.
     """
 
     def __init__(
@@ -78,7 +78,7 @@ class ZenohTransport:
         self._waiting: deque[bytes] = deque(maxlen=QUEUE)
         try:
             self._session = zenoh.open(_zenoh_config(zenoh, connect, listen, multicast, tls))
-            # What cannot be sent at once is old by the time it could: it gives way.
+            # Drop what cannot be sent at once: it would be out of date later.
             self._publisher = self._session.declare_publisher(
                 f"{topic}/{name}",
                 congestion_control=zenoh.CongestionControl.DROP,
@@ -91,18 +91,18 @@ class ZenohTransport:
             raise OSError(f"zenoh: {error}") from error
 
     def _arrive(self, sample: Any) -> None:
-        """Keep what arrived; zenoh calls this from a thread of its own, and a deque takes it without a lock."""
+        """Queue a received message. Called from a zenoh thread; appending to a deque needs no lock."""
         is_too_large = len(sample.payload) > MAX_BYTES
         self.dropped += is_too_large or len(self._waiting) == QUEUE
         if not is_too_large:
             self._waiting.append(sample.payload.to_bytes())
 
     def send(self, data: bytes, now_ns: int) -> None:
-        """Publish bytes; when it is now does not matter."""
+        """Publish bytes; ``now_ns`` is not used."""
         self._publisher.put(data)
 
     def take(self, now_ns: int) -> list[Delivery]:
-        """Return what has arrived, in the order of arrival."""
+        """Return all messages received since the last call, in order of arrival."""
         return [Delivery(self._waiting.popleft(), now_ns) for _ in range(len(self._waiting))]
 
     def close(self) -> None:

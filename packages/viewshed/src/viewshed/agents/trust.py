@@ -1,37 +1,35 @@
-"""Which agents lie: the likelihood of all that they report and claim, under each small set of agents that might.
+"""Find out which agents lie: likelihood of all reports and views under each small set of liars.
 
-Whom to believe cannot be decided agent by agent: that one contradicts another speaks against both alike. So the
-hypotheses are sets of liars, none of them, each one, each pair, and each explains all reports and views at once. An
-object that three agents report and a fourth denies is explained best by the fourth alone; where two contradict each
-other and no third could see, "the one lies" and "the other lies" explain it about as well, and nobody is convicted: it
-is *disputed*.
+Trust cannot be decided agent by agent, because a contradiction speaks against both agents alike. So the hypotheses are
+sets of liars (none, each agent, each pair), and each hypothesis explains all reports and views. If three agents report
+an object and a fourth denies it, the fourth alone is the best explanation. If two contradict each other and no third
+could see, both explanations are about as likely, and nobody is accused: they are *disputed*.
 
-**Objects.** What an honest agent reports follows :mod:`viewshed.agents.honest`: whether it reports what other honest
-agents report and deny, whether its box lies on the surfaces of its own view (*displaced*), and whether its position
-agrees with theirs. Each agent is judged given the other honest ones: a pseudo-likelihood (Besag, 1975). What honest
-agents report together is judged once by what the views of those show who are silent (*made up*): where three claim
-free ground, the one that reports a car lies; where three report a car, the one that claims free ground does. A liar's
-own view may be forged to agree with its lies, so it vouches for them within a bound only. About an object that it lies
-about, a liar says first one thing as likely as the other, and then mostly the same again (:attr:`TrustRules.keeps`);
-about how many it lies is unknown: all of :attr:`TrustRules.lies` are as likely.
+**Objects.** Reports of honest agents follow :mod:`viewshed.agents.honest`: the probability to report what other honest
+agents report or deny, how well the box fits the surfaces of its own view (*displaced*), and how well its position
+agrees with the others'. Each agent is judged given the other honest ones: a pseudo-likelihood (Besag, 1975). Whether
+honest reports of an object are *made up* is judged once, by the views of agents that could report it and are silent:
+where three claim free ground, the one that reports a car lies; where three report a car, the one that claims free
+ground does. A liar may forge its own view to agree with its lies, so this agreement is bounded. About an object, a liar
+first reports or is silent with equal probability, and then mostly repeats itself (:attr:`TrustRules.keeps`). The share
+of objects that it lies about is unknown: all of :attr:`TrustRules.lies` are equally likely.
 
-**Views.** A comparison of two views (:mod:`viewshed.agents.view_evidence`) that honest views hardly ever fail speaks
-for all hypotheses in which one of the two lies; one of a view with its past or with all others for those in which its
-agent does.
+**Views.** If two views fail a comparison (:mod:`viewshed.agents.view_evidence`) that honest views hardly ever fail,
+this supports all hypotheses in which one of the two lies. If a view fails a comparison with its own past or with all
+others, it supports those in which its agent lies.
 
-**Dependence.** Frames are no independent witnesses. The chance of a report is given the agent's own last ones, and
-counts once in :attr:`TrustRules.look_s`; what one object says is bounded by :attr:`TrustRules.most_of_object`, and
-against a hypothesis only the few objects count that say most (:attr:`TrustRules.objects`): an honest agent whose
-detector is poor errs mildly about many, a liar grossly about some. Comparisons count by their mean over a second, and
-what opened or closed at once is remembered. What is older fades.
+**Dependence.** Successive frames are not independent. The probability of a report is conditional on the agent's own
+last ones, and counts once per :attr:`TrustRules.look_s`. Evidence of one object is bounded by
+:attr:`TrustRules.most_of_object`, and only the few objects with the most evidence (:attr:`TrustRules.objects`) count
+against a hypothesis: an honest agent with a poor detector errs mildly about many, a liar grossly about some.
+Comparisons count by their mean over a second; what opened or closed at once is held longer. Evidence fades with age.
 
-**Probabilities.** Log-likelihoods that add up make up their mind too soon, so they are divided by
-:attr:`TrustRules.temper` before they become probabilities (a tempered posterior; Grünwald 2012).
+**Probabilities.** Summed log-likelihoods are overconfident, so they are divided by :attr:`TrustRules.temper` before
+they become probabilities (a tempered posterior; Grünwald 2012).
 
-**Evidence.** For each agent, the mean likelihood of the hypotheses in which it lies over the largest of those in which
-it does not (Wasserman, Ramdas, Balakrishnan 2020). Accusations are one rank of that of the reports, of what
-each view says by itself, and of what an agent withholds that it had reported, among benign scenes of all terrain
-(:class:`TrustLimits`).
+**Evidence.** For each agent: mean likelihood of the hypotheses in which it lies, over the maximum of those in which it
+does not (Wasserman, Ramdas, Balakrishnan 2020). An accusation ranks three kinds of evidence (reports, the view by
+itself, and withheld objects) among benign scenes of all terrain (:class:`TrustLimits`).
 """
 
 from __future__ import annotations
@@ -49,51 +47,50 @@ from numpy.typing import NDArray
 from viewshed.agents.view_evidence import OWN, PAIR
 from viewshed.arrays import F64, Mask
 
-MOST_LIARS = 2
-"""Agents that may lie together; never more than half of them."""
+MAX_LIARS = 2
+"""Maximum number of agents that lie together; never more than half of them."""
 
 QUESTIONS = ("reports", "opened", "misplaced", "through", "withheld")
-"""What may speak against an agent, each on a scale of its own, for the noise of one drowns another: evidence of its
-reports; by how much more its view opened at once than it closed; how its surfaces lie beside those of others; what it
-sees through; evidence that it withholds objects that it had reported."""
+"""Kinds of evidence against an agent, each on its own scale because their noise differs: its reports; by how much more
+its view opened at once than it closed; how its surfaces are displaced from those of others; what it sees through;
+objects that it withholds after it had reported them."""
 
 TOGETHER = 1.5
-"""Exponent of the norm that puts answers together."""
+"""Exponent of the norm that combines the answers of an agent."""
 
 SCENE_S = 6.0
-"""Length of the benign scenes of the limits: an agent is judged by the most that speaks against it in such a time."""
+"""Length of the benign scenes in seconds, and of the window over which an agent's largest answers are kept."""
 
-USUAL, LEAST_SPREAD = 0.9, 0.1
-"""Share of honest agents whose answers are usual, and nats by which the others go beyond on average at least."""
+USUAL, MIN_SPREAD = 0.9, 0.1
+"""Quantile of honest answers that is taken as usual, and minimum of the mean excess of the others in nats."""
 
 
 @dataclass(frozen=True, slots=True)
 class TrustRules:
-    """What honest agents and liars are taken to do.
+    """Parameters of the models of honest agents and of liars.
 
     Raises:
         ValueError: a number is out of range.
     """
 
-    false_report: float = 0.2  # chance that an honest agent reports an object that nobody else does where others see
-    lies: tuple[float, ...] = (0.05, 0.2, 0.5)  # shares of the objects about which a liar may lie
-    prior: float = 0.1  # chance that an agent is a liar, before it reports anything
-    # no report, and no silence, of an honest agent is less likely: what is rare is known no better
-    least: float = 0.005
-    most_ratio: float = 6.0  # bound in nats of what views say about a made-up or a displaced box
-    agreeing: float = 0.5  # share of the liars' boxes that agree with the liars' views, which may be forged as well
-    disc_m: float = 4.0  # radius of the disc over which a lie puts an object
-    # outlier share: of honest positions, those that are as in lies (boxes of objects that are seen in part)
+    false_report: float = 0.2  # probability that an honest agent alone reports an object where others see none
+    lies: tuple[float, ...] = (0.05, 0.2, 0.5)  # shares of the objects that a liar may lie about
+    prior: float = 0.1  # probability that an agent lies, before its first report
+    least: float = 0.005  # minimum probability of an honest report or silence; smaller ones are not known well enough
+    most_ratio: float = 6.0  # bound in nats on what views say about a made-up or displaced box
+    agreeing: float = 0.5  # share of liars' boxes that agree with the liars' own, possibly forged, views
+    disc_m: float = 4.0  # radius of the disc in which a lie places an object
+    # share of outliers among honest positions, distributed as those of lies (boxes of partly visible objects)
     astray: float = 0.4
-    lied_and_there: float = 0.1  # chance that there is an object where liars alone report one
-    keeps: float = 0.9  # chance that who lies about an object says of it what it said at its last look
-    begins: float = 0.3  # chance that a lie about an object begins with a look at it: it was reported as it is before
-    objects: int = 4  # most objects that count against a hypothesis, those that say most
-    most_of_object: float = 20.0  # bound in nats of what one object says against a hypothesis
-    look_s: float = 0.5  # reports of one object count once in this time: honest chances are those of looks so far apart
-    half_life_s: float = 4.0  # after this time a report counts half
-    mean_s: float = 1.0  # time over which comparisons of views are averaged
-    temper: float = 5.0  # log-likelihoods are divided by this before they become probabilities
+    lied_and_there: float = 0.1  # probability that an object exists where only liars report one
+    keeps: float = 0.9  # probability that a liar repeats what it said of an object at its last look
+    begins: float = 0.3  # probability that a lie about an object begins at a look; earlier reports of it were honest
+    objects: int = 4  # maximum number of objects, those with the most evidence, that count against a hypothesis
+    most_of_object: float = 20.0  # bound in nats on the evidence of one object against a hypothesis
+    look_s: float = 0.5  # reports of one object count once in this interval, for which the honest model is fitted
+    half_life_s: float = 4.0  # half-life of the evidence
+    mean_s: float = 1.0  # time constant of the mean of view comparisons
+    temper: float = 5.0  # divisor of log-likelihoods before they become probabilities
 
     def __post_init__(self) -> None:
         chances = ("false_report", "lies", "prior", "least", "agreeing", "astray", "lied_and_there", "keeps", "begins")
@@ -108,29 +105,29 @@ class TrustRules:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reports:
-    """What A agents say of J objects at one time; each of the objects is reported by somebody.
+    """Reports of A agents about J objects at one time; at least one agent reports each object.
 
     Raises:
         ValueError: the shapes do not fit, or a number is missing.
     """
 
-    ids: NDArray[np.int64]  # (J,) int64, the same for one object over time
-    seen: Mask  # (J, A) bool, who reports it
-    able: Mask  # (J, A) bool, who could
-    sees: Mask  # (J, A) bool, who could and claims to see it, so that its silence denies the object
-    reported: F64  # (J, A) log-odds that an honest agent reports what others report, but for how many they are
-    of_others: F64  # (others, deniers) log-odds by the numbers of others that report an object and that deny it
-    invented: F64  # (J, A) log-ratio of a place elsewhere over what honest agents report, in the reporter's own view
-    # (2, J, A) what the view of each who could report an object and does not adds to the log-ratio of a place elsewhere
-    # over what one honest agent reports alone, and over what several do, ...
+    ids: NDArray[np.int64]  # (J,) int64, constant over time for one object
+    seen: Mask  # (J, A) bool, agents that report it
+    able: Mask  # (J, A) bool, agents that could report it
+    sees: Mask  # (J, A) bool, agents that could and claim to see it, so that their silence denies it
+    reported: F64  # (J, A) log-odds that an honest agent reports what others report, without ``of_others``
+    of_others: F64  # (others, deniers) log-odds added for the numbers of other agents that report and that deny it
+    invented: F64  # (J, A) log-ratio, by the reporter's own view, of a made-up place over an honest report
+    # (2, J, A) term of each silent but able agent's view in the log-ratio of a made-up place over a report by one
+    # honest agent, and over a report by several
     silent_views: F64
-    silent_bias: F64  # (2,) ... and the ratios without any
-    displaced: F64  # (J, A) log-ratio of a box that was moved over one of an honest agent
-    there: F64  # (J, A) log-odds that each agent's report or silence adds to those that the object is one, ...
-    there_bias: float  # ... and those without any
-    xy_m: F64  # (J, A, 2) where it is reported, in the world; NaN where it is not
-    std_m: F64  # (J, A) standard deviation of an honest report's position along each axis
-    # (J, A) 1 where the agent says of the object what it said at its last look, -1 where it does not, 0 at the first
+    silent_bias: F64  # (2,) biases of these two log-ratios
+    displaced: F64  # (J, A) log-ratio of a moved box over an honest one
+    there: F64  # (J, A) log-odds that each agent's report or silence adds for the existence of the object
+    there_bias: float  # log-odds of existence without any
+    xy_m: F64  # (J, A, 2) reported positions in the world; NaN where there is none
+    std_m: F64  # (J, A) standard deviation of an honest position along each axis
+    # (J, A) 1 where the agent repeats its last look (report or silence), -1 where it does not, 0 at the first
     repeats: NDArray[np.int8]
 
     def __post_init__(self) -> None:
@@ -151,29 +148,29 @@ class Reports:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Verdicts:
-    """What is believed of each of A agents, and of each of J objects."""
+    """Trust in each of A agents, and existence of each of J objects."""
 
     evidence: F64  # (A,) natural logarithm of the likelihood ratio against "this agent is honest"
-    doubt: float  # how much better the best hypothesis with a liar explains all than "all are honest", in nats
+    doubt: float  # log-likelihood in nats of the best hypothesis over that of "all are honest"
     trust: F64  # (A,) probability that the agent is honest
     ids: NDArray[np.int64]  # (J,) of the objects of the last reports
-    existence: F64  # (J,) probability that each exists, whoever lies
-    suspects: Mask  # (A,) bool, those who lie under the best explanations (within one nat), the ones with fewest liars
-    against: F64  # (A, A) nats that comparisons of two views speak against both, and on the diagonal that one's own do
-    answers: F64  # (A, 5) most that spoke against each in the last ``SCENE_S``, by ``QUESTIONS``: nats
+    existence: F64  # (J,) probability that each exists, averaged over the hypotheses
+    suspects: Mask  # (A,) bool, liars of the best hypotheses (within one nat) with the fewest liars
+    against: F64  # (A, A) nats against both of two agents by comparing their views; on the diagonal, against one view
+    answers: F64  # (A, 5) maximum in nats over the last ``SCENE_S`` of each kind of evidence, by ``QUESTIONS``
 
 
 _AT_ONCE = np.array([name in ("opened", "closed") for name in OWN])
-"""What a view does once, so that its mean over a second would lose it."""
+"""Comparisons of single events, which a mean over a second would lose."""
 
 
 @dataclass(slots=True)
 class Trust:
-    """Follows what a number of agents report and claim; see the module for the model.
+    """Tracks the evidence against a group of agents; the module documents the model.
 
     Args:
-        agents: how many there are.
-        rules: of the model.
+        agents: number of agents.
+        rules: parameters of the model.
     """
 
     agents: int
@@ -183,7 +180,7 @@ class Trust:
     _of_objects: dict[int, F64] = field(default_factory=dict, repr=False)
     _pairs: F64 = field(init=False, repr=False)
     _own: F64 = field(init=False, repr=False)
-    _answers: list[tuple[float, F64]] = field(default_factory=list, repr=False)  # ages, and answers so old
+    _answers: list[tuple[float, F64]] = field(default_factory=list, repr=False)  # (age in seconds, answers)
 
     def __post_init__(self) -> None:
         if self.agents < 1:
@@ -193,120 +190,121 @@ class Trust:
 
     def _follow(self, agents: int) -> None:
         self.agents, self._lies = agents, hypotheses(agents)
-        # Chance (L, H, H) that the liars of a hypothesis lie about an object as a set of agents, and all others do not.
+        # (L, H, H) probability, under a hypothesis, that exactly the liars of another one lie about an object.
         liars, among = self._lies.sum(axis=1), ~(self._lies[None] & ~self._lies[:, None]).any(axis=2)
         lie = np.array(self.rules.lies)[:, None, None]
         self._share_of_lies = np.where(among, lie ** liars[None] * (1 - lie) ** (liars[:, None] - liars[None]), 0.0)
 
     def regroup(self, kept: Sequence[int]) -> None:
-        """Follow other agents: who stays keeps its record, who comes begins at the prior.
+        """Change the group of agents: those that stay keep their record, new ones begin at the prior.
 
         Args:
-            kept: for each agent from now on, its number so far; -1 for one that comes.
+            kept: previous number of each agent, -1 for a new one.
         """
-        known = np.array(list(self._of_objects.values())).reshape(-1, len(self._lies))
-        # What is known of each set of liars among those who stay. Who goes may have lied or not, as explains most.
-        stays, numbers = frozenset(kept), dict[frozenset[int], list[int]]()
+        evidence = np.array(list(self._of_objects.values())).reshape(-1, len(self._lies))
+        # Evidence by the set of liars among those that stay; maximize over whether those that leave lied.
+        staying, numbers = frozenset(kept), dict[frozenset[int], list[int]]()
         for number, line in enumerate(self._lies):
-            numbers.setdefault(stays.intersection(np.flatnonzero(line).tolist()), []).append(number)
-        logs = {liars: known[:, columns].max(axis=1) for liars, columns in numbers.items()}
+            numbers.setdefault(staying.intersection(np.flatnonzero(line).tolist()), []).append(number)
+        logs = {liars: evidence[:, columns].max(axis=1) for liars, columns in numbers.items()}
         nobody = logs[frozenset()]
         self._follow(len(kept))
         columns = []
         for line in self._lies:
-            # A new agent has reported nothing yet: it explains as much as if it were honest.
+            # A new agent has no evidence yet: ignore it in the set of liars.
             liars = frozenset(kept[agent] for agent in np.flatnonzero(line).tolist()) - {-1}
             if liars in logs:
                 columns.append(logs[liars])
                 continue
-            # A pair that was no hypothesis so far explains what both do, and no more than the better one alone.
+            # A pair that was no hypothesis before gains the sum of both, but at most the better single gain.
             gains = np.array([logs.get(frozenset({liar}), nobody) - nobody for liar in liars])
             columns.append(nobody + np.minimum(gains.sum(axis=0), gains.max(axis=0)))
         carried = np.stack(columns, axis=1)
         carried -= carried[:, :1]
         self._of_objects = dict(zip(self._of_objects, carried, strict=True))
-        # The last row and column are those of who comes.
+        # kept is -1 for new agents, which selects the padding.
         self._pairs = np.pad(self._pairs, ((0, 1), (0, 1), (0, 0)))[np.ix_(kept, kept)]
         self._own = np.pad(self._own, ((0, 1), (0, 0)))[list(kept)]
-        unasked = np.full((1, len(QUESTIONS)), -np.inf)
-        self._answers = [(age_s, np.vstack([answers, unasked])[list(kept)]) for age_s, answers in self._answers]
+        no_answers = np.full((1, len(QUESTIONS)), -np.inf)
+        self._answers = [(age_s, np.vstack([answers, no_answers])[list(kept)]) for age_s, answers in self._answers]
 
     def add(
         self, reports: Reports, seconds: float, views: tuple[F64, F64] | None = None, withheld: F64 | None = None
     ) -> Verdicts:
-        """Return what is believed after the next reports.
+        """Update with the next reports and return the verdicts.
 
         Args:
             reports: of all agents.
-            seconds: since the reports before.
-            views: surprises of comparisons of views (A, A, 2) and (A, 3), NaN where nothing was compared.
+            seconds: since the last reports.
+            views: surprises of view comparisons (A, A, 2) and (A, 3), NaN where nothing was compared.
             withheld: evidence (A,) in nats that each agent withholds objects; None is 0.
 
         Raises:
-            ValueError: there are other agents, or no time has passed.
+            ValueError: the number of agents differs, or ``seconds`` is not positive.
         """
         if reports.seen.shape[1] != self.agents or not seconds > 0:
             raise ValueError(
                 f"reports must be of {self.agents} agents, some time after the last ones, got {reports.seen.shape[1]}"
                 f" agents after {seconds:g} s"
             )
-        # What is older fades; an object that says nothing any more is forgotten.
+        # Let evidence fade, and drop objects without any left.
         fade = 0.5 ** (seconds / self.rules.half_life_s)
         weight = min(seconds / self.rules.look_s, 1.0)
-        faded = {number: fade * known for number, known in self._of_objects.items()}
-        self._of_objects = {number: known for number, known in faded.items() if np.ptp(known) > 1e-3}
+        faded = {number: fade * evidence for number, evidence in self._of_objects.items()}
+        self._of_objects = {number: evidence for number, evidence in faded.items() if np.ptp(evidence) > 1e-3}
         begins, nothing = weight * self.rules.begins, np.zeros(len(self._lies))
         new, kept = weight * self._likelihoods(reports), weight * self._kept(reports)
-        for number, logs, on in zip(reports.ids.tolist(), new, kept, strict=True):
-            # Against that nobody lies. A lie goes on, or begins now (Shiryaev, 1963): honesty before excuses nothing.
-            known = np.logaddexp(self._of_objects.get(number, nothing) + np.log1p(-begins) + on, np.log(begins))
-            known[0] = 0.0
-            self._of_objects[number] = known + logs - logs[0]
+        for number, logs, keep in zip(reports.ids.tolist(), new, kept, strict=True):
+            # Relative to "nobody lies". A lie goes on or begins now (Shiryaev, 1963): earlier honesty is no excuse.
+            evidence = np.logaddexp(self._of_objects.get(number, nothing) + np.log1p(-begins) + keep, np.log(begins))
+            evidence[0] = 0.0
+            self._of_objects[number] = evidence + logs - logs[0]
         if views is not None:
-            part = -np.expm1(-seconds / self.rules.mean_s)
+            weight_new = -np.expm1(-seconds / self.rules.mean_s)
             pairs, own = (
                 np.where(np.isfinite(new), new, old) for new, old in zip(views, (self._pairs, self._own), strict=True)
             )
-            self._pairs = self._pairs + part * (pairs - self._pairs)
-            steady = self._own + part * (own - self._own)
+            self._pairs = self._pairs + weight_new * (pairs - self._pairs)
+            steady = self._own + weight_new * (own - self._own)
             at_once = np.maximum(fade * self._own, np.where(np.isfinite(views[1]), views[1], 0.0))
             self._own = np.where(_AT_ONCE, at_once, steady)
-        self._answers = [(age_s + seconds, said) for age_s, said in self._answers if age_s + seconds < SCENE_S]
+        self._answers = [(age_s + seconds, answers) for age_s, answers in self._answers if age_s + seconds < SCENE_S]
         return self._verdicts(reports, np.zeros(self.agents) if withheld is None else withheld)
 
     def _likelihoods(self, reports: Reports) -> F64:
-        """Return the log-likelihoods (J, H) of the reports of each object, for each set of agents that lie about it."""
+        """Return log-likelihoods (J, H) of the reports of each object under each set of agents that lie about it."""
         rules, honest, seen = self.rules, ~self._lies[None], reports.seen[:, None]
-        # How many other honest agents report the object, and how many deny it: (J, H, A).
+        # (J, H, A) number of other honest agents that report the object, and that deny it.
         reporters, deniers = seen & honest, (reports.sees & ~reports.seen)[:, None] & honest
         others = reporters.sum(axis=2, keepdims=True) - reporters
         denied = deniers.sum(axis=2, keepdims=True) - deniers
-        most = np.array(reports.of_others.shape) - 1
-        odds = reports.reported[:, None] + reports.of_others[np.minimum(others, most[0]), np.minimum(denied, most[1])]
-        chance = np.clip(1.0 / (1.0 + np.exp(-odds)), rules.least, 1.0 - rules.least)
-        # A lie's box may agree with its own view as an honest one does, for the view may be forged.
-        displaced = self._unless_forged(reports.displaced)[:, None]
-        with_others = np.where(
-            seen, np.log(chance) - displaced + self._agreement(reports, reporters), np.log1p(-chance)
+        max_counts = np.array(reports.of_others.shape) - 1
+        odds = (
+            reports.reported[:, None]
+            + reports.of_others[np.minimum(others, max_counts[0]), np.minimum(denied, max_counts[1])]
         )
-        # Who alone reports an object errs seldom where others see; where they do not, it is as good as silence.
+        prob = np.clip(1.0 / (1.0 + np.exp(-odds)), rules.least, 1.0 - rules.least)
+        # A liar may forge its view to agree with its box.
+        displaced = self._unless_forged(reports.displaced)[:, None]
+        with_others = np.where(seen, np.log(prob) - displaced + self._agreement(reports, reporters), np.log1p(-prob))
+        # A report by one agent alone is rarely false where others deny it; elsewhere it counts like silence.
         silence = np.log1p(-rules.false_report)
         alone = np.where(seen & (denied > 0), np.log(rules.false_report), silence)
-        # Those who lie together agree on a place as well.
-        lied = np.log(0.5) + np.where(seen & ~honest, self._agreement(reports, seen & ~honest), 0.0)
-        logs = np.where(honest, np.where(others > 0, with_others, alone), lied)
+        # Liars may agree on a position, too.
+        lying = np.log(0.5) + np.where(seen & ~honest, self._agreement(reports, seen & ~honest), 0.0)
+        logs = np.where(honest, np.where(others > 0, with_others, alone), lying)
         summed: F64 = np.where((reports.able | reports.seen)[:, None], logs, 0.0).sum(axis=2)
         return summed - self._made_up(reports, reporters)
 
     def _kept(self, reports: Reports) -> F64:
-        """Return the log-ratio (J, H) of what liars say of each object if their lie goes on over if it begins."""
-        # By ``repeats``: 0 at the first look, 1 for the same again, and -1, the last one, for the other.
-        says = np.array([0.0, np.log(2.0 * self.rules.keeps), np.log(2.0 - 2.0 * self.rules.keeps)])[reports.repeats]
-        kept: F64 = np.where(reports.able | reports.seen, says, 0.0) @ self._lies.T.astype(np.float64)
+        """Return the log-ratio (J, H) of the liars' reports if their lie goes on over if it begins now."""
+        # Indexed by ``repeats``: 0 first look, 1 repeated, -1 changed.
+        logs = np.array([0.0, np.log(2.0 * self.rules.keeps), np.log(2.0 - 2.0 * self.rules.keeps)])[reports.repeats]
+        kept: F64 = np.where(reports.able | reports.seen, logs, 0.0) @ self._lies.T.astype(np.float64)
         return kept
 
     def _made_up(self, reports: Reports, reporters: Mask) -> F64:
-        """Return the log-ratio (J, H) that what honest agents report is a place elsewhere, 0 where none reports it."""
+        """Return the log-ratio (J, H) that the place of honest reports is made up; 0 where no honest agent reports."""
         count, own = reporters.sum(axis=2), np.where(reports.seen, self._unless_forged(reports.invented), 0.0)
         own_mean = (own[:, None] * reporters).sum(axis=2) / np.maximum(count, 1)
         alone, shared = reports.silent_views @ (~self._lies).T.astype(np.float64) + reports.silent_bias[:, None, None]
@@ -314,32 +312,32 @@ class Trust:
         return np.where(count > 0, ratio, 0.0)
 
     def _unless_forged(self, ratios: F64) -> F64:
-        """Return log-ratios (…,) of what views say, if those of liars agree with some lies."""
+        """Return log-ratios (…,) by views, bounded because some liars' views agree with their lies."""
         bounded = np.exp(np.clip(ratios, -self.rules.most_ratio, self.rules.most_ratio))
         return np.log(self.rules.agreeing + (1.0 - self.rules.agreeing) * bounded)
 
     def _agreement(self, reports: Reports, reporters: Mask) -> F64:
-        """Return the log-ratio (J, H, A) of each position about the mean of the other reporters' over one anywhere.
+        """Return the log-ratio (J, H, A) of each position given the mean of the other reporters' over a uniform one.
 
-        Positions are normal about it, but for a share of outliers.
+        Positions are normal about that mean, with a share of outliers.
         """
         of_agents = reports.std_m**-2.0
-        # Sums over all reporters but the agent itself.
+        # Sums over all other reporters.
         weight = np.where(reporters, of_agents[:, None], 0.0)
-        rest = weight.sum(axis=2, keepdims=True) - weight
-        some = rest > 1e-9
-        rest = np.where(some, rest, 1.0)
-        apart_m2 = np.zeros_like(rest)
-        for along in np.moveaxis(np.where(reports.seen[..., None], reports.xy_m, 0.0), 2, 0):
-            moment = weight * along[:, None]
-            apart_m2 += (along[:, None] - (moment.sum(axis=2, keepdims=True) - moment) / rest) ** 2
-        variance = (1.0 / of_agents)[:, None] + 1.0 / rest
-        ratio = self.rules.disc_m**2 / (2.0 * variance) * np.exp(-apart_m2 / (2.0 * variance))
-        return np.where(some, np.log((1.0 - self.rules.astray) * ratio + self.rules.astray), 0.0)
+        other_weight = weight.sum(axis=2, keepdims=True) - weight
+        has_others = other_weight > 1e-9
+        other_weight = np.where(has_others, other_weight, 1.0)
+        squared_m2 = np.zeros_like(other_weight)
+        for coordinate in np.moveaxis(np.where(reports.seen[..., None], reports.xy_m, 0.0), 2, 0):
+            moment = weight * coordinate[:, None]
+            squared_m2 += (coordinate[:, None] - (moment.sum(axis=2, keepdims=True) - moment) / other_weight) ** 2
+        variance = (1.0 / of_agents)[:, None] + 1.0 / other_weight
+        ratio = self.rules.disc_m**2 / (2.0 * variance) * np.exp(-squared_m2 / (2.0 * variance))
+        return np.where(has_others, np.log((1.0 - self.rules.astray) * ratio + self.rules.astray), 0.0)
 
     def _of_views(self) -> tuple[F64, F64]:
-        """Return what views say against both of two agents (A, A), against one on the diagonal, and for each set."""
-        # A view that opens and closes flickers, as honest ones do: only by how much more of the one counts.
+        """Return evidence of views against both of two agents (A, A), one agent (diagonal), and per hypothesis (H,)."""
+        # A view that opens and closes flickers, as honest ones do: only the difference counts.
         opened, closed = self._own[:, _AT_ONCE].T
         own = np.abs(opened - closed) + self._own[:, ~_AT_ONCE].sum(axis=1)
         against = self._pairs.sum(axis=2)
@@ -349,21 +347,21 @@ class Trust:
         return against + against.T + np.diag(own), gain
 
     def _verdicts(self, reports: Reports, withheld: F64) -> Verdicts:
-        """Return what is believed of the agents, and of the objects of the last reports."""
-        known = np.array(list(self._of_objects.values())).reshape(-1, len(self._lies))
-        # A hypothesis is the mean over the sets of its liars that may lie about an object, ...
-        of_objects = _mixed(known, self._share_of_lies)
-        # What an object says for hypotheses, against that nobody lies, is scaled down to the bound, and few objects
-        # count. All hypotheses are scaled alike: the worse ones, bounded each by itself, would catch up over time.
+        """Return the verdicts on the agents and on the objects of the last reports."""
+        object_evidence = np.array(list(self._of_objects.values())).reshape(-1, len(self._lies))
+        # Average each hypothesis over the subset of its liars that lies about an object, ...
+        of_objects = _mixed(object_evidence, self._share_of_lies)
+        # Scale the evidence of an object relative to "nobody lies" down to the bound, and sum only the top objects.
+        # One factor scales all hypotheses: bounded one by one, the worse ones would catch up over time.
         gain, bound = of_objects - of_objects[..., :1], self.rules.most_of_object
         largest = np.maximum(np.abs(gain).max(axis=2, initial=0.0, keepdims=True), 1e-9)
         gain *= bound * np.tanh(largest / bound) / largest
-        most = np.sort(np.maximum(gain, 0.0), axis=1)[:, ::-1][:, : self.rules.objects]
+        top_gains = np.sort(np.maximum(gain, 0.0), axis=1)[:, ::-1][:, : self.rules.objects]
         against, of_views = self._of_views()
-        of_shares = most.sum(axis=1) + np.minimum(gain, 0.0).sum(axis=1)
-        # Who withholds objects is trusted less in all that it says.
+        of_shares = top_gains.sum(axis=1) + np.minimum(gain, 0.0).sum(axis=1)
+        # Withholding objects lowers the trust in everything that an agent says.
         of_views = of_views + self._lies @ np.maximum(withheld, 0.0)
-        # ... and over the shares of the objects about which they may.
+        # ... and over the share of objects that liars lie about.
         logs = np.logaddexp.reduce(of_shares, axis=0) - np.log(len(of_shares)) + of_views
         opened, closed = self._own[:, _AT_ONCE].T
         others = max(self.agents - 1, 1)
@@ -379,18 +377,18 @@ class Trust:
         posterior /= posterior.sum()
         best = logs >= logs.max() - 1.0
         best &= liars == liars[best].min()
-        # An object is one by what those say who are honest.
+        # Existence of an object by the honest agents of each hypothesis.
         honest = (~self._lies).T.astype(np.float64)
         alone = np.log(self.rules.lied_and_there / (1.0 - self.rules.lied_and_there))
         odds = np.where(reports.seen @ honest > 0, reports.there_bias, alone) + reports.there @ honest
         existence = 1.0 / (1.0 + np.exp(-odds)) @ posterior
         return Verdicts(
             self._evidence(logs), float(logs.max() - logs[0]), 1.0 - posterior @ self._lies, reports.ids, existence,
-            self._lies[best].any(axis=0), against, np.max([said for _, said in self._answers], axis=0),
+            self._lies[best].any(axis=0), against, np.max([recent for _, recent in self._answers], axis=0),
         )  # fmt: skip
 
     def _evidence(self, logs: F64) -> F64:
-        """Return the mean of hypotheses (H,) in which each agent lies over the best of those in which it does not."""
+        """Return per agent the log mean of hypotheses (H,) in which it lies over the best in which it does not."""
         evidence = np.zeros(self.agents)
         for agent, lies in enumerate(self._lies.T):
             if lies.any():
@@ -400,32 +398,31 @@ class Trust:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrustLimits:
-    """Accuses agents at a stated rate, calibrated on benign scenes.
+    """Thresholds of accusations with a stated false-alarm rate, calibrated on benign scenes.
 
-    Answers to all ``QUESTIONS`` are put on one scale by those of honest agents, low or elevated, of benign scenes. The
-    unit is the scene, for the shipped limits 6 s of five agents, so that a drive of ten minutes is about 100 of them:
-    whoever is accused must stand higher on that scale than anybody of nearly all benign scenes does on the scale of
-    the others (a jackknife: one scene moves the scale hardly). If the scene at hand is one like those (exchangeable),
-    somebody is accused in at most the stated share of benign scenes, however the agents of one scene depend on each
-    other.
+    Answers to all ``QUESTIONS`` are normalized by those of honest agents with the same sensor height (low or elevated).
+    The unit is the scene, for the shipped limits 6 s of five agents; a drive of ten minutes is about 100 scenes. An
+    agent is accused if its score exceeds the maximum scores of nearly all benign scenes, each normalized by the other
+    scenes (a jackknife: one scene hardly changes the scale). If a scene is exchangeable with the benign ones, the
+    stated share bounds the probability of any accusation in it, however its agents depend on each other.
     """
 
-    usual: F64  # (2, 5) nine in ten answers are smaller, by whether the sensor is elevated and by question
-    spread: F64  # (2, 5) mean of what the others are beyond
-    score: F64  # (N,) highest score of any agent in each benign scene, over time, ascending
+    usual: F64  # (2, 5) ``USUAL`` quantile of the answers, by whether the sensor is elevated and by question
+    spread: F64  # (2, 5) mean excess of the other answers
+    score: F64  # (N,) highest score of any agent in each benign scene, ascending
     doubt: F64  # (N,) largest doubt of each benign scene, ascending
 
     @classmethod
     def of(cls, answers: F64, elevated: Mask, doubt: F64) -> TrustLimits:
-        """Return the limits of benign scenes; each is scored on the scale of all others, as a further scene is.
+        """Return the limits from benign scenes, each scored on the scale of all others, as a new scene is.
 
         Args:
             answers: (N, A, 5) largest answers of each agent of each scene.
-            elevated: (A,) bool, whose sensors look over the traffic.
+            elevated: (A,) bool, agents whose sensors look over the traffic.
             doubt: (N,) largest doubt of each scene.
 
         Raises:
-            ValueError: there are fewer than two, or a number is not finite.
+            ValueError: there are fewer than two scenes, or a number is not finite.
         """
         if not len(answers) == len(doubt) > 1:
             raise ValueError(f"limits must be of two benign scenes or more, got {len(answers)} and {len(doubt)}")
@@ -438,37 +435,37 @@ class TrustLimits:
         return cls(*_scale_of(answers, elevated), np.sort(score), np.sort(doubt))
 
     def to_json(self) -> str:
-        """Return the limits as text."""
+        """Return the limits as JSON text."""
         return json.dumps({name: getattr(self, name).round(4).tolist() for name in self.__slots__}) + "\n"
 
     @classmethod
     def from_json(cls, text: str) -> TrustLimits:
-        """Return the limits in a text of :meth:`to_json`."""
+        """Return the limits from the text of :meth:`to_json`."""
         table = json.loads(text)
         return cls(*(np.array(table[name]) for name in cls.__slots__))
 
     @property
     def least_rate(self) -> float:
-        """The smallest rate that the number of scenes supports."""
+        """Smallest false-alarm rate that the number of scenes supports."""
         return 1.0 / (len(self.score) + 1.0)
 
     def beyond(self, answers: F64, elevated: Mask) -> F64:
-        """Return by how much the answers (A, 5) of each agent are beyond the usual ones of its kind, on one scale."""
+        """Return the normalized excess (A, 5) of the answers of each agent over the usual ones of its sensor height."""
         kind = elevated.astype(np.intp)
         return np.asarray((answers - self.usual[kind]) / self.spread[kind])
 
     def scores(self, answers: F64, elevated: Mask) -> F64:
-        """Return the norm (A,) of what the answers (A, 5) of each agent are beyond the usual ones of its kind.
+        """Return the norm (A,) of the excesses of the answers (A, 5) of each agent.
 
-        The norm of the exponent ``TOGETHER`` is more than the largest and less than the sum: liars are often unusual in
-        several answers, honest agents at times. Where all answers are usual it is the one nearest to that, below 0.
+        With the exponent ``TOGETHER``, the norm lies between the maximum and the sum: liars often are unusual in
+        several answers, honest agents at times. If no answer is in excess, it is the largest (negative) difference.
         """
         beyond = self.beyond(answers, elevated)
         norm = (np.maximum(beyond, 0.0) ** TOGETHER).sum(axis=1) ** (1.0 / TOGETHER)
         return np.asarray(norm + np.minimum(beyond.max(axis=1), 0.0))
 
     def accused(self, answers: F64, elevated: Mask, rate: float) -> Mask:
-        """Return who is accused (A,) by the answers of each (A, 5): somebody in this share of benign scenes.
+        """Return which agents are accused (A,) by their answers (A, 5), at a rate of benign scenes with an accusation.
 
         Raises:
             ValueError: there are too few scenes for this rate.
@@ -477,14 +474,14 @@ class TrustLimits:
         return np.asarray(_p_values(self.score, self.scores(answers, elevated)) <= rate * (1.0 + 1e-9))
 
     def disputed(self, verdicts: Verdicts, accused: Mask, rate: float) -> Mask:
-        """Return who is disputed (A,): somebody lies, they are the ones it may be, and it is unknown which.
+        """Return which agents are disputed (A,): one of these suspects lies, and it is unknown which.
 
         Raises:
             ValueError: there are too few scenes for this rate.
         """
         self._check(rate)
-        somebody = _p_values(self.doubt, np.array([verdicts.doubt]))[0] <= rate
-        return verdicts.suspects & ~accused if somebody else np.zeros_like(verdicts.suspects)
+        has_liar = _p_values(self.doubt, np.array([verdicts.doubt]))[0] <= rate
+        return verdicts.suspects & ~accused if has_liar else np.zeros_like(verdicts.suspects)
 
     def _check(self, rate: float) -> None:
         need = int(np.ceil(1.0 / rate - 1e-9)) - 1 if 0 < rate < 1 else -1
@@ -493,38 +490,38 @@ class TrustLimits:
 
 
 def _scale_of(answers: F64, elevated: Mask) -> tuple[F64, F64]:
-    """Return what is usual and what others are beyond (2, 5), by whether sensors are elevated, of answers (N, A, 5)."""
+    """Return quantile and mean excess (2, 5) of answers (N, A, 5), by whether the sensors are elevated."""
     usual, spread = np.zeros((2, len(QUESTIONS))), np.ones((2, len(QUESTIONS)))
     for kind in np.unique(elevated.astype(np.intp)):
         own = answers[:, elevated == kind].reshape(-1, len(QUESTIONS))
         usual[kind] = np.quantile(own, USUAL, axis=0)
         beyond = np.maximum(own - usual[kind], 0.0).mean(axis=0) / (1.0 - USUAL)
-        spread[kind] = np.maximum(beyond, LEAST_SPREAD)
+        spread[kind] = np.maximum(beyond, MIN_SPREAD)
     return usual, spread
 
 
 @lru_cache(maxsize=1)
 def trust_limits() -> TrustLimits:
-    """Return the shipped limits, of the calibration scenes of docs/results/agents.md."""
+    """Return the shipped limits, from the calibration scenes of docs/results/agents.md."""
     return TrustLimits.from_json(resources.files("viewshed.agents").joinpath("limits.json").read_text("utf-8"))
 
 
 def hypotheses(agents: int) -> Mask:
-    """Return who lies under each hypothesis (H, agents): first nobody, then each one, then each pair.
+    """Return the liars of each hypothesis (H, agents): first nobody, then each agent, then each pair.
 
     >>> hypotheses(3).astype(int).tolist()
     [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]
     """
-    most = min(MOST_LIARS, agents // 2)
-    sets = [chosen for count in range(most + 1) for chosen in combinations(range(agents), count)]
-    out = np.zeros((len(sets), agents), np.bool_)
-    for line, chosen in zip(out, sets, strict=True):
+    max_liars = min(MAX_LIARS, agents // 2)
+    sets = [chosen for count in range(max_liars + 1) for chosen in combinations(range(agents), count)]
+    lies = np.zeros((len(sets), agents), np.bool_)
+    for line, chosen in zip(lies, sets, strict=True):
         line[list(chosen)] = True
-    return out
+    return lies
 
 
 def _mixed(logs: F64, shares: F64) -> F64:
-    """Return the logarithms of the means (L, J, H) of likelihoods (J, H) given as logarithms, by shares (L, H, H)."""
+    """Return log means (L, J, H) of likelihoods given as logs (J, H), weighted by shares (L, H, H)."""
     highest = logs.max(axis=1, keepdims=True)
     mixed: F64 = np.log(np.maximum(np.exp(logs - highest) @ np.swapaxes(shares, 1, 2), 1e-300)) + highest
     return mixed

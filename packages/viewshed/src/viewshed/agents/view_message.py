@@ -1,6 +1,6 @@
-"""What one agent says of one sweep: where it was, what it saw, what it found, and whether it doubts its sweep.
+"""Message of one agent about one sweep: pose, field of view, ground, detections, and the report of its monitor.
 
-A payload is a map of deterministic CBOR; ``docs/view_message.cddl`` is its schema. Numbers of many objects are typed
+The payload is a map of deterministic CBOR; its schema is ``docs/view_message.cddl``. Numbers of many objects are typed
 arrays.
 """
 
@@ -29,13 +29,13 @@ from viewshed.monitor.report import IntegrityReport
 T = TypeVar("T", str, bytes, int, float)
 
 VERSION = 4
-"""Version of the payload; a receiver refuses others."""
+"""Version of the payload format; a receiver refuses others."""
 
 MAX_BYTES = 49_152
-"""The most bytes of a signed message."""
+"""Maximum size of a signed message in bytes."""
 
 GROUND_NODES = 32
-"""Heights of the ground a side."""
+"""Ground heights per side."""
 
 MAX_DETECTIONS = 512
 
@@ -47,15 +47,15 @@ FIELDS = (
     "version", "agent", "number", "t_ns", "frame", "pose",
     "sensor", "view", "ground", "detections", "report",
 )  # fmt: skip
-"""Fields of a payload by their keys."""
+"""Names of the fields of a payload; their indices are the keys."""
 
 _NAME = re.compile(r"[A-Za-z0-9_.\-]{1,32}")
 
-_GROUND_STEPS_PER_M, _MOST_STEPS = 100.0, 2**15 - 1
+_GROUND_STEPS_PER_M, _MAX_STEPS = 100.0, 2**15 - 1
 
 _UPPER6 = np.triu_indices(6)
 
-# Where each number of a symmetric matrix (6, 6) stands among those of its upper triangle.
+# Index of each element of a symmetric matrix (6, 6) among those of its upper triangle.
 _SQUARE6 = np.zeros((6, 6), np.intp)
 _SQUARE6[_UPPER6] = np.arange(21)
 _SQUARE6 = np.maximum(_SQUARE6, _SQUARE6.T)
@@ -63,11 +63,11 @@ _SQUARE6 = np.maximum(_SQUARE6, _SQUARE6.T)
 
 @dataclass(frozen=True, slots=True)
 class SensorFacts:
-    """The sensor of a view."""
+    """Sensor of a view."""
 
-    name: str  # of the beam table, or as the sender calls it; at most 32 characters
-    height_m: float = math.nan  # above the ground below it; NaN where that is not known
-    reach_m: float = math.nan  # how far it sees a dark target; NaN where that is not known
+    name: str  # name of its beam table, or the sender's own name for it; at most 32 characters
+    height_m: float = math.nan  # above the ground below it; NaN if unknown
+    reach_m: float = math.nan  # range at which it still sees a dark target; NaN if unknown
 
     def __post_init__(self) -> None:
         if not (0 < len(self.name) <= 32 and self.name.isprintable()):
@@ -78,26 +78,26 @@ class SensorFacts:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ViewMessage:
-    """What one agent says of one sweep.
+    """Message of one agent about one sweep.
 
     Raises:
-        ValueError: a value is not as above.
+        ValueError: a value is out of range.
     """
 
-    agent: str  # who says it: 1 to 32 letters, digits, ``_``, ``.`` or ``-``
-    sequence: int  # number of the message, greater than that of each earlier one of this epoch
+    agent: str  # name of the sender: 1 to 32 letters, digits, ``_``, ``.`` or ``-``
+    sequence: int  # sequence number, greater than in all earlier messages of this epoch
     t_ns: int  # time of the sweep by the agent's clock, nanoseconds since 1970
-    frame: str  # name of the map that the pose is in
+    frame: str  # name of the map of the pose
     world_from_level: Rigid  # pose of the ``level`` frame in that map
     pose_covariance: F64  # (6, 6) of x, y, z in meters and rotations about x, y, z in radians, in the map
-    sensor: SensorFacts  # what saw it
-    view: FovEstimate | None = None  # the estimate, or None; what comes back is quantized (``fov_code``)
-    # heights about it in ``level``, or None; what comes back has ``GROUND_NODES`` a side, to a centimeter
+    sensor: SensorFacts  # sensor of the view
+    view: FovEstimate | None = None  # field of view, or None; the receiver gets it quantized (``fov_code``)
+    # ground heights in ``level``, or None; the receiver gets ``GROUND_NODES`` per side, rounded to a centimeter
     ground: HeightMap | None = None
     detections: Detections | None = None  # objects of this sweep in ``level``, or None
-    report: IntegrityReport | None = None  # of a monitor on the sweep, or None; reasons and suspect cells are not sent
-    # which start of the agent this is, greater at each: the milliseconds since 1970 when it started, or a counter that
-    # it keeps in a file. Its numbers begin anew with each epoch.
+    report: IntegrityReport | None = None  # monitor's report, or None; reasons and suspect cells are not sent
+    # number of the agent's start, greater at each: milliseconds since 1970 at the start, or a counter in a file.
+    # Sequence numbers restart with each epoch.
     epoch: int = 0
 
     def __post_init__(self) -> None:
@@ -118,7 +118,7 @@ def require_name(what: str, name: str) -> None:
 
 
 def encode_message(message: ViewMessage) -> bytes:
-    """Return the payload of a message.
+    """Return the payload of a message as CBOR.
 
     Raises:
         ImportError: cbor2 is not installed.
@@ -142,8 +142,8 @@ def encode_message(message: ViewMessage) -> bytes:
     if message.ground is not None:
         fields[8] = _ground_fields(message.ground)
     if message.detections is not None:
-        found = message.detections
-        fields[9] = [found.boxes.astype(np.float32).ravel(), found.kinds, found.returns]
+        detections = message.detections
+        fields[9] = [detections.boxes.astype(np.float32).ravel(), detections.kinds, detections.returns]
     if message.report is not None:
         fields[10] = _report_fields(message.report)
     return cbor.dumps(fields)
@@ -175,10 +175,10 @@ def _report_fields(report: IntegrityReport) -> list[Any]:
 
 
 def decode_message(payload: bytes) -> ViewMessage:
-    """Return the message of a payload, checked; the view's cells are decoded.
+    """Return the validated message in a payload, with the cells of its view decoded.
 
     Raises:
-        ValueError: it is no payload of this version, or one of its values is not what it must be.
+        ValueError: it is not a payload of this version, or a value is out of range.
     """
     if len(payload) > MAX_BYTES:
         raise ValueError(f"a payload must have at most {MAX_BYTES} bytes, got {len(payload)}")
@@ -201,7 +201,7 @@ def _message_of(fields: dict[int, Any]) -> ViewMessage:
     name, height_m, reach_m = fields[6]
     agent, t_ns = _typed(str, fields[1]), _typed(int, fields[3])
     epoch, sequence = fields[2]
-    view, ground, found, report = (fields.get(key) for key in range(7, 11))
+    view, ground, detections, report = (fields.get(key) for key in range(7, 11))
     return ViewMessage(
         agent=agent,
         sequence=_typed(int, sequence),
@@ -212,7 +212,7 @@ def _message_of(fields: dict[int, Any]) -> ViewMessage:
         sensor=SensorFacts(_typed(str, name), _typed(float, height_m), _typed(float, reach_m)),
         view=None if view is None else _view_of(view, agent, t_ns, world_from_level),
         ground=None if ground is None else _ground_of(ground),
-        detections=None if found is None else _detections_of(found),
+        detections=None if detections is None else _detections_of(detections),
         report=None if report is None else _report_of(report),
         epoch=_typed(int, epoch),
     )
@@ -220,19 +220,19 @@ def _message_of(fields: dict[int, Any]) -> ViewMessage:
 
 def _view_of(fields: dict[int, Any], agent: str, t_ns: int, pose: Rigid) -> FovEstimate:
     cells, *extent = fields[0]
-    name, *sizes, least = fields[1]
+    name, *sizes, min_returns = fields[1]
     half_extent_m, x_m, y_m = (_typed(float, each) for each in extent)
     length_m, width_m, height_m = (_typed(float, each) for each in sizes)
     grid = BevGrid(_typed(int, cells), half_extent_m, (x_m, y_m))
     threshold, with_std = _typed(float, fields[2]), fields[4] is True
-    found = decode_fov(_typed(bytes, fields[5]), grid, threshold, with_std)
+    cells_of_view = decode_fov(_typed(bytes, fields[5]), grid, threshold, with_std)
     return FovEstimate(
         grid=grid,
-        visible_prob=found.visible_prob,
-        state=found.state,
-        std=found.std,
+        visible_prob=cells_of_view.visible_prob,
+        state=cells_of_view.state,
+        std=cells_of_view.std,
         method=_typed(str, fields[3])[:64],
-        target=Target(_typed(str, name)[:64], length_m, width_m, height_m, _typed(int, least)),
+        target=Target(_typed(str, name)[:64], length_m, width_m, height_m, _typed(int, min_returns)),
         threshold=threshold,
         world_from_level=pose,
         t_ns=t_ns,
@@ -242,7 +242,7 @@ def _view_of(fields: dict[int, Any], agent: str, t_ns: int, pose: Rigid) -> FovE
 
 def _ground_fields(ground: HeightMap) -> list[Any]:
     heights_m = ground.at(BevGrid(GROUND_NODES, ground.half_extent_m).centers)
-    steps = np.clip(np.rint(_GROUND_STEPS_PER_M * heights_m), -_MOST_STEPS, _MOST_STEPS)
+    steps = np.clip(np.rint(_GROUND_STEPS_PER_M * heights_m), -_MAX_STEPS, _MAX_STEPS)
     return [float(ground.half_extent_m), steps.astype("<i2").tobytes()]
 
 
@@ -266,9 +266,9 @@ def _detections_of(fields: list[Any]) -> Detections:
 
 def _report_of(fields: list[Any]) -> IntegrityReport:
     monitor, score, threshold, p_value, degraded, degraded_p_value, suspect = fields
-    sectors = np.unpackbits(np.frombuffer(_typed(bytes, suspect), np.uint8))
-    if len(sectors) != SECTORS:
-        raise ValueError(f"a report must have {SECTORS} sectors, got {len(sectors)}")
+    suspect_sectors = np.unpackbits(np.frombuffer(_typed(bytes, suspect), np.uint8))
+    if len(suspect_sectors) != SECTORS:
+        raise ValueError(f"a report must have {SECTORS} sectors, got {len(suspect_sectors)}")
     return IntegrityReport(
         _typed(str, monitor)[:64],
         _typed(float, score),
@@ -276,12 +276,12 @@ def _report_of(fields: list[Any]) -> IntegrityReport:
         _typed(float, p_value),
         degraded is True,
         _typed(float, degraded_p_value),
-        sectors.astype(np.bool_),
+        suspect_sectors.astype(np.bool_),
     )
 
 
 def _columns(arrays: list[Any], types: tuple[Any, ...]) -> list[NDArray[Any]]:
-    """Return arrays, each of its type, or raise ValueError."""
+    """Return the arrays if each has its type, else raise ValueError."""
     if [getattr(array, "dtype", None) for array in arrays] != [np.dtype(kind) for kind in types]:
         raise ValueError("arrays of a payload must have the types of its schema")
     return list(arrays)
@@ -291,17 +291,17 @@ _WORDS = {str: "text", bytes: "bytes", int: "a whole number", float: "a float"}
 
 
 def _typed(kind: type[T], value: Any) -> T:
-    """Return a value of exactly this type, or raise ValueError."""
+    """Return a value if it has exactly this type, else raise ValueError."""
     if type(value) is not kind:
         raise ValueError(f"a payload must have {_WORDS[kind]} here, got {type(value).__name__}")
     return value
 
 
 def field_sizes(payload: bytes) -> dict[str, int]:
-    """Return the bytes that each field of a payload takes, its key among them, by name; ``map`` is what holds them.
+    """Return the encoded bytes of each field of a payload with its key, by name; ``map`` is the header of the map.
 
     Raises:
-        ValueError: it is no payload.
+        ValueError: it is not a payload.
     """
     reader = cbor.Reader(payload)
     major, _, count = reader.head()
@@ -309,10 +309,10 @@ def field_sizes(payload: bytes) -> dict[str, int]:
         raise ValueError("a payload must be a map")
     sizes = {"map": reader.at}
     for _ in range(count):
-        begin = reader.at
+        start = reader.at
         key = reader.value()
         if key not in range(len(FIELDS)):
             raise ValueError(f"keys of a payload must lie in [0, {len(FIELDS) - 1}], got {key}")
         reader.value(1)
-        sizes[FIELDS[key]] = reader.at - begin
+        sizes[FIELDS[key]] = reader.at - start
     return sizes

@@ -130,7 +130,7 @@ def parse_pose_std(words: str | None) -> PoseStd | None:
     """Parse standard deviations METERS,DEGREES; None stays None."""
     from math import degrees, radians
 
-    from viewshed.agents.registration import MOST_M, MOST_TURN, PoseStd
+    from viewshed.agents.registration import MAX_STD_M, MAX_YAW_STD, PoseStd
 
     if words is None:
         return None
@@ -140,7 +140,7 @@ def parse_pose_std(words: str | None) -> PoseStd | None:
     except ValueError as error:
         raise ValueError(f"--pose-std must be METERS,DEGREES, both 0 or more, got {words!r}; as 0.2,0.5") from error
     if std.bounded != std:
-        note(f"--pose-std {words}: larger deviations than {MOST_M:g} m and {degrees(MOST_TURN):g}° count as these")
+        note(f"--pose-std {words}: larger deviations than {MAX_STD_M:g} m and {degrees(MAX_YAW_STD):g}° count as these")
     return std
 
 

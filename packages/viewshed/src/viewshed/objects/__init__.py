@@ -1,4 +1,4 @@
-"""Objects of one agent: boxes in a sweep, tracks that know what could be seen, and whether they can be explained."""
+"""Objects of one agent: detection, tracking by what could be seen, and checks of tracks by the field of view."""
 
 from viewshed.detections import BOX_COLUMNS, Detections, ObjectKind
 

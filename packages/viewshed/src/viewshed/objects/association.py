@@ -1,4 +1,4 @@
-"""Which detection is of which track: the assignment of greatest total benefit (global nearest neighbor)."""
+"""Association of detections with tracks: the assignment of maximum total benefit (global nearest neighbor)."""
 
 from __future__ import annotations
 
@@ -31,17 +31,17 @@ def assignment_solver() -> Callable[..., tuple[NDArray[Any], NDArray[Any]]]:
 
 
 def assign(benefit: F64) -> Numbers:
-    """Return the number (N,) of each track's detection, -1 for none, so that the total ``benefit`` (N, K) is greatest.
+    """Return the index (N,) of each track's detection, -1 for none, that maximizes the total ``benefit`` (N, K).
 
-    Pairs whose benefit is not positive are never made: it is the benefit over that of leaving both alone.
+    The benefit of a pair is relative to leaving both unmatched; pairs without a positive benefit are never matched.
 
     >>> assign(np.array([[5.0, 4.0, -1.0], [4.5, 0.0, -1.0]])).tolist()
     [1, 0]
     """
-    gained = np.where(benefit > 0.0, benefit, 0.0)
-    rows, columns = assignment_solver()(gained, maximize=True)
+    gain = np.where(benefit > 0.0, benefit, 0.0)
+    rows, columns = assignment_solver()(gain, maximize=True)
     assigned = np.full(len(benefit), -1, np.int32)
-    is_gain = gained[rows, columns] > 0.0
+    is_gain = gain[rows, columns] > 0.0
     assigned[rows[is_gain]] = columns[is_gain]
     return assigned
 
@@ -53,21 +53,21 @@ def volume_overlaps(first: F64, second: F64) -> F64:
     >>> volume_overlaps(box, box + np.array([1.0, 0, 0, 0, 0, 0, 0])).tolist()
     [[0.6]]
     """
-    shared = np.zeros((len(first), len(second)))
-    reach = np.hypot(first[:, None, 3], first[:, None, 4]) + np.hypot(second[None, :, 3], second[None, :, 4])
-    apart = np.hypot(first[:, None, 0] - second[None, :, 0], first[:, None, 1] - second[None, :, 1])
-    rows, columns = np.nonzero(2.0 * apart < reach)
+    intersection = np.zeros((len(first), len(second)))
+    diagonals = np.hypot(first[:, None, 3], first[:, None, 4]) + np.hypot(second[None, :, 3], second[None, :, 4])
+    distance_m = np.hypot(first[:, None, 0] - second[None, :, 0], first[:, None, 1] - second[None, :, 1])
+    rows, columns = np.nonzero(2.0 * distance_m < diagonals)
     footprints = np.asarray(shapely.polygons(corners_of(first))), np.asarray(shapely.polygons(corners_of(second)))
     areas = shapely.area(shapely.intersection(footprints[0][rows], footprints[1][columns]))
     low = np.maximum((first[:, 2] - first[:, 5] / 2)[rows], (second[:, 2] - second[:, 5] / 2)[columns])
     high = np.minimum((first[:, 2] + first[:, 5] / 2)[rows], (second[:, 2] + second[:, 5] / 2)[columns])
-    shared[rows, columns] = areas * np.maximum(high - low, 0.0)
+    intersection[rows, columns] = areas * np.maximum(high - low, 0.0)
     volumes = first[:, 3:6].prod(axis=1)[:, None] + second[:, 3:6].prod(axis=1)[None, :]
-    return np.asarray(shared / (volumes - shared))
+    return np.asarray(intersection / (volumes - intersection))
 
 
 def inside(points: F64, boxes: F64, margin_m: float = 0.0) -> Mask:
-    """Return which points (K, 2+) lie inside the footprints of which boxes (N, 7), or so far beside: (N, K)."""
+    """Return which points (K, 2+) lie in the footprints of boxes (N, 7) or within a margin around them: mask (N, K)."""
     dx = points[None, :, 0] - boxes[:, 0, None]
     dy = points[None, :, 1] - boxes[:, 1, None]
     cos, sin = np.cos(boxes[:, 6])[:, None], np.sin(boxes[:, 6])[:, None]
@@ -76,7 +76,7 @@ def inside(points: F64, boxes: F64, margin_m: float = 0.0) -> Mask:
 
 
 def no_part_of_earlier(is_part: Mask) -> Mask:
-    """Return which of K boxes (K,) are kept in their order: those in no kept one before; ``is_part`` (K, K) by row."""
+    """Return the mask (K,) of boxes that are in no earlier box that is kept; ``is_part[i, k]`` is whether k is in i."""
     kept = np.ones(len(is_part), np.bool_)
     for k in np.flatnonzero(np.triu(is_part, k=1).any(axis=0)):
         kept[k] = not (is_part[:k, k] & kept[:k]).any()

@@ -1,4 +1,4 @@
-"""What evidence is worth, from benign drives: tables counted on some of them, limits taken from the others."""
+"""Fit the evidence model on benign drives: count tables on some of them, and take limits from the others."""
 
 from __future__ import annotations
 
@@ -19,21 +19,21 @@ from viewshed.objects.single import SingleFusion, cell_evidence
 _NO_LIMITS = (np.inf, np.inf, np.inf)
 
 _FALSE_JUMPS_M = (0.3, 3.0)
-"""Jumps of moved tracks that tables are counted with."""
+"""Lengths of the jumps of moved tracks for the tables."""
 
 _OPEN = 0.5
-"""A ghost is made where at least this share of its box is free."""
+"""A ghost is made only where at least this share of its box is free."""
 
 
 def calibrate(drives: Sequence[Sequence[Observed]], rng: np.random.Generator, accused: float = 0.03) -> EvidenceModel:
-    """Return the model whose tables and limit are from benign drives.
+    """Return the model fitted on benign drives.
 
-    Tables are counted on every other drive, and the limits are taken from the others: of their confirmed tracks at most
-    the share ``accused`` reaches one of them at any time.
+    Tables are counted on every other drive; limits are taken from the others, so that at most the share ``accused`` of
+    their confirmed tracks ever reaches one.
 
     Args:
-        drives: of each what was observed, in the order of time.
-        rng: places tracks elsewhere, to count what forged ones are like.
+        drives: observations of each drive, in order of time.
+        rng: places tracks elsewhere, as examples of forged ones.
         accused: share of honest tracks.
 
     Raises:
@@ -52,17 +52,17 @@ def calibrate(drives: Sequence[Sequence[Observed]], rng: np.random.Generator, ac
 
 
 def model_of_counts(counts: EvidenceCounts, accused: float) -> EvidenceModel:
-    """Return a model whose tables are counted and which accuses nobody yet."""
+    """Return a model with counted tables that accuses no track yet."""
     view, birth, jump = (counts.table(name) for name in ("view", "birth", "jump"))
     return EvidenceModel(counts.weights(), view, birth, jump, _NO_LIMITS, accused)
 
 
 def limits_of(highest: F64, accused: float) -> tuple[float, float, float]:
-    """Return limits that the honest tracks reach with probability ``accused`` at most, equally rare for each suspicion.
+    """Return limits that honest tracks reach with probability ``accused`` at most, equally rare for each suspicion.
 
     Args:
         highest: (T, 3) the largest e-values of each honest track.
-        accused: share of a further honest track to reach one of the three limits.
+        accused: probability that a new honest track reaches one of the three limits.
 
     Raises:
         ValueError: there are too few tracks for the share.
@@ -78,7 +78,7 @@ def limits_of(highest: F64, accused: float) -> tuple[float, float, float]:
 
 
 def highest_e_values(drive: Iterable[Observed], model: EvidenceModel) -> dict[int, F64]:
-    """Return the largest e-values (3,) that each confirmed track of a drive reaches, by its id."""
+    """Return the largest e-values (3,) of each confirmed track of a drive, by id."""
     fusion, highest = SingleFusion(replace(model, limits=_NO_LIMITS)), dict[int, F64]()
     for tracks, detections, views in drive:
         explained = fusion.explain(tracks, detections, views)
@@ -107,13 +107,13 @@ def count_drive(drive: Iterable[Observed], counts: EvidenceCounts, rng: np.rando
             counts.cells["honest"].append(cell_evidence(boxes, kinds, view)[1])
             forged_cells, forged_bins = cell_evidence(elsewhere, kinds, view)
             counts.cells["forged"].append(forged_bins)
-        # A moved track jumps in its latest places.
-        sightings = sightings.joined(Sightings.none(1)).take(rows_of(tracks.ids, ids))  # the last row is a new track's
+        # Index -1, the appended row, is that of new tracks.
+        sightings = sightings.joined(Sightings.none(1)).take(rows_of(tracks.ids, ids))
         ids = tracks.ids
         rows = np.flatnonzero(is_matched)
         sightings = sightings.after(rows, tracks.t_s, boxes[:, :2])
         if view.cells is not None:
-            # A ghost that is made in the sweep stands in the open, has a surface and moves as a track does.
+            # A ghost made in the sweep stands in the open, has a surface, and moves like a track.
             honest = tracks.take(rows)
             ghosts, in_the_open = replace(honest, boxes=elsewhere), forged_cells.free >= _OPEN
             followed = np.isin((~np.isnan(sightings.times[rows])).sum(axis=1), FOLLOWED_AFTER)
@@ -123,19 +123,19 @@ def count_drive(drive: Iterable[Observed], counts: EvidenceCounts, rng: np.rando
                 before.free_shares(ghosts, surface, followed & in_the_open),
             )  # fmt: skip
             counts.add("birth", birth_bins(births[0]), birth_bins(births[1]))
-        length, way = rng.uniform(*_FALSE_JUMPS_M, len(rows)), rng.uniform(-np.pi, np.pi, len(rows))
-        seen = sightings.take(rows)
-        places = seen.places.copy()
-        places[:, -LATEST:] += np.stack([length * np.cos(way), length * np.sin(way)], axis=-1)[:, None]
-        counts.add("jump", jump_bins(seen.jumps()[0]), jump_bins(Sightings(seen.times, places).jumps()[0]))
+        length, azimuth = rng.uniform(*_FALSE_JUMPS_M, len(rows)), rng.uniform(-np.pi, np.pi, len(rows))
+        detected = sightings.take(rows)
+        places = detected.places.copy()
+        places[:, -LATEST:] += np.stack([length * np.cos(azimuth), length * np.sin(azimuth)], axis=-1)[:, None]
+        counts.add("jump", jump_bins(detected.jumps()[0]), jump_bins(Sightings(detected.times, places).jumps()[0]))
         before.add(tracks.t_s, view.cells)
 
 
 def _turned(boxes: F64, place: F64, rng: np.random.Generator) -> F64:
-    """Return boxes (K, 7) at the same distance from a place in random directions, with random headings."""
-    away = np.hypot(*(boxes[:, :2] - place).T)
-    way = rng.uniform(-np.pi, np.pi, len(boxes))
+    """Return boxes (K, 7) at the same distance from a point, in random directions and with random headings."""
+    distance_m = np.hypot(*(boxes[:, :2] - place).T)
+    azimuth = rng.uniform(-np.pi, np.pi, len(boxes))
     turned = boxes.copy()
-    turned[:, :2] = place + np.column_stack([away * np.cos(way), away * np.sin(way)])
+    turned[:, :2] = place + np.column_stack([distance_m * np.cos(azimuth), distance_m * np.sin(azimuth)])
     turned[:, 6] = rng.uniform(-np.pi, np.pi, len(boxes))
     return turned

@@ -1,4 +1,4 @@
-"""Whole boxes from the sides that a sensor sees: what is missing of the usual size lies behind them."""
+"""Complete boxes from the visible sides: the part missing to the usual size lies behind them."""
 
 from __future__ import annotations
 
@@ -17,24 +17,24 @@ _USUAL_SIZES_M = {
 }
 
 USUAL_SIZE_M = np.array([_USUAL_SIZES_M[kind] for kind in ObjectKind])
-"""Length, width and height (5, 3) of each kind; an object that shows more is larger."""
+"""Usual length, width and height (5, 3) of each kind; objects that show more are larger."""
 
 LEFT_HIDDEN, RIGHT_HIDDEN = 1, 2
-"""What the last column of the sides of candidates says."""
+"""Values of the last column of the candidates' sides."""
 
 
 def complete_boxes(
     sides: NDArray[np.float32], kinds: NDArray[np.uint8], is_end: Mask, top_m: NDArray[np.float32]
 ) -> F64:
-    """Return boxes (K, 7) over flat ground at z = 0 from the sides that were seen.
+    """Return completed boxes (K, 7) over flat ground at z = 0 from their visible sides.
 
-    Each side is made as long as is usual for the kind. Where the sensor stands beyond one end, the other end is moved.
-    Where it stands beside, the end that something nearer hides is moved, or else both by half.
+    Each side is extended to the usual length of the kind. If the sensor is beyond one end, the other end is moved. If
+    it is beside, the end that something nearer hides is moved, or else both by half.
 
     Args:
         sides: (K, 6) of :class:`viewshed.objects.candidates.Candidates`.
         kinds: (K,) uint8 of :class:`viewshed.detections.ObjectKind`.
-        is_end: (K,) where the long side is the object's width.
+        is_end: (K,) bool, whether the long visible side is the object's width.
         top_m: (K,) height of the highest return above the ground.
     """
     heading, a_low, a_high, b_low, b_high, hidden = sides.astype(np.float64).T
@@ -60,19 +60,19 @@ def complete_boxes(
 
 
 def middles_of(sides: NDArray[np.float32]) -> F64:
-    """Return x and y (K, 2) of the middles of sides (K, 6) as they were seen."""
+    """Return x and y (K, 2) of the middles of the visible sides (K, 6)."""
     heading, a_low, a_high, b_low, b_high, _ = sides.astype(np.float64).T
     return _turned((a_low + a_high) / 2, (b_low + b_high) / 2, heading)
 
 
 def _turned(along: F64, across: F64, yaw: F64) -> F64:
-    """Return x and y (K, 2) of coordinates along a heading and across it."""
+    """Return x and y (K, 2) of coordinates along and across a heading."""
     c, s = np.cos(yaw), np.sin(yaw)
     return np.stack([along * c - across * s, along * s + across * c], axis=-1)
 
 
-def _grown(low: F64, high: F64, least_m: F64, share_high: F64) -> tuple[F64, F64]:
-    """Return intervals of at least ``least_m``; the sensor is at 0, and stays on the side where it is."""
-    missing_m = np.maximum(least_m - (high - low), 0.0)
+def _grown(low: F64, high: F64, min_m: F64, share_high: F64) -> tuple[F64, F64]:
+    """Return intervals extended to at least ``min_m``; the sensor at 0 stays on its side of them."""
+    missing_m = np.maximum(min_m - (high - low), 0.0)
     at_high = np.where(low > 0, 1.0, np.where(high < 0, 0.0, share_high))
     return low - (1.0 - at_high) * missing_m, high + at_high * missing_m

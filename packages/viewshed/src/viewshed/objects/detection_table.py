@@ -1,6 +1,6 @@
-"""What the detector does, measured: how surely it finds an object, and how often it errs.
+"""Measured performance of the detector: detection probability and false detections.
 
-Counted in simulated worlds with exact truth, by ``tools/fit_detector.py``; the counts travel with the package.
+Counted in simulated worlds with exact truth by ``tools/fit_detector.py``; the counts ship with the package.
 """
 
 from __future__ import annotations
@@ -23,36 +23,36 @@ from viewshed.detections import ObjectKind
 Counts = NDArray[np.int64]
 
 SHIPPED = Path(__file__).with_name("detection_table.json")
-"""The table that travels with the package, of the shipped detector."""
+"""Shipped table, of the shipped detector."""
 
 RETURNS = (0, 1, 2, 3, 5, 8, 12, 20, 35, 60, 120, 250)
-"""Expected returns from which each class on begins; the last has no end."""
+"""Lower bounds of the classes of expected returns; the last class is open."""
 
 RANGE_M = (0.0, 10.0, 20.0, 30.0, 40.0, 55.0, 80.0)
-"""Borders of the classes of range."""
+"""Edges of the range classes in meters."""
 
 _RETURNS_AT = np.array([0, 1, 2, 3.5, 6, 9.5, 15.5, 27, 47, 88, 180, 350])
 
 _RANGE_AT_M = (np.array(RANGE_M[:-1]) + np.array(RANGE_M[1:])) / 2
 
 _PRIOR = 8.0
-"""A class counts as if this number of objects of the class that it is part of had been among its own."""
+"""Prior count of a class, at the probability of its parent class."""
 
 
 @dataclass(frozen=True, eq=False)
 class DetectionTable:
-    """Counts of a detector in worlds with exact truth; K = 5 kinds, R classes of returns, D of range.
+    """Counts of a detector in worlds with exact truth: K = 5 kinds, R classes of returns, D of range.
 
     Raises:
-        ValueError: the shapes are not these, or counts contradict each other.
+        ValueError: the shapes differ, or counts are inconsistent.
     """
 
-    found: Counts  # (K, R, D) objects that were detected: their center within 2 m (or a quarter of their length)
+    found: Counts  # (K, R, D) detected objects: centers within 2 m (or a quarter of their length)
     total: Counts  # (K, R, D) all objects
-    matched: Counts  # (K, D) detections of them
-    false: Counts  # (K, D) detections that are no object, by the kind that they were called
-    sweeps: int  # how many were looked at
-    about: Mapping[str, Any]  # how it was made, for people
+    matched: Counts  # (K, D) detections of objects
+    false: Counts  # (K, D) false detections, by the kind that they were given
+    sweeps: int  # number of sweeps evaluated
+    about: Mapping[str, Any]  # provenance, for people
 
     def __post_init__(self) -> None:
         kinds, ranges = len(ObjectKind), len(RANGE_M) - 1
@@ -66,8 +66,8 @@ class DetectionTable:
     def prob(self, expected_returns: NDArray[Any], range_m: NDArray[Any], kinds: NDArray[np.uint8]) -> F64:
         """Return the probability (K,) that the detector finds each of K objects.
 
-        Rarely seen classes lean on those that they are part of; between classes it is interpolated. It never falls
-        with the expected returns.
+        Rare classes are shrunk toward their parent classes; between classes it is interpolated. It never falls with the
+        expected returns.
 
         Args:
             expected_returns: (K,) of :func:`viewshed.preprocess.evidence.expected_returns`, without the objects' own.
@@ -85,7 +85,7 @@ class DetectionTable:
         return result
 
     def false_odds(self, range_m: NDArray[Any], kinds: NDArray[np.uint8]) -> F64:
-        """Return the number (K,) of false detections of a kind at a range for one of an object."""
+        """Return the number (K,) of false detections per true one, by range and kind."""
         d, share = _between(np.asarray(range_m, np.float64), _RANGE_AT_M)
         kind = np.asarray(kinds, np.intp)
         result: F64 = (1 - share) * self._false_odds[kind, d] + share * self._false_odds[kind, d + 1]
@@ -93,26 +93,26 @@ class DetectionTable:
 
     @cached_property
     def _prob(self) -> F64:
-        """(K, R, D) probabilities that an object is found."""
-        # 1. By returns alone, of all kinds; then of each kind, and of each range of it.
+        """(K, R, D) detection probabilities."""
+        # Shrink: each range toward its kind, each kind toward all kinds, by returns.
         found, total = (counts.astype(np.float64) for counts in (self.found, self.total))
         of_all = found.sum(axis=(0, 2))[None], total.sum(axis=(0, 2))[None]
-        by_returns = _rising(_leaning(*of_all, np.full(len(RETURNS), 0.5), 1.0), of_all[1] + 1.0)
-        by_kind = _leaning(found.sum(axis=2), total.sum(axis=2), by_returns)
-        return _rising(_leaning(found, total, by_kind[:, :, None]), total + _PRIOR)
+        by_returns = _isotonic(_shrunk(*of_all, np.full(len(RETURNS), 0.5), 1.0), of_all[1] + 1.0)
+        by_kind = _shrunk(found.sum(axis=2), total.sum(axis=2), by_returns)
+        return _isotonic(_shrunk(found, total, by_kind[:, :, None]), total + _PRIOR)
 
     @cached_property
     def _false_odds(self) -> F64:
-        """(K, D) false detections for one of an object; a range leans on its kind, a kind on all."""
-        false, right = self.false.astype(np.float64), self.matched.astype(np.float64)
-        of_all = np.array([false.sum() / max(false.sum() + right.sum(), 1.0)])
-        of_kind = _leaning(false.sum(axis=1), (false + right).sum(axis=1), of_all)
-        share = np.clip(_leaning(false, false + right, of_kind[:, None]), 0.001, 0.999)
+        """(K, D) false detections per true one; a range is shrunk toward its kind, a kind toward all."""
+        false, matched = self.false.astype(np.float64), self.matched.astype(np.float64)
+        of_all = np.array([false.sum() / max(false.sum() + matched.sum(), 1.0)])
+        of_kind = _shrunk(false.sum(axis=1), (false + matched).sum(axis=1), of_all)
+        share = np.clip(_shrunk(false, false + matched, of_kind[:, None]), 0.001, 0.999)
         result: F64 = share / (1.0 - share)
         return result
 
     def save(self, path: Path) -> None:
-        """Write it as JSON."""
+        """Write the table as JSON."""
         arrays = {name: getattr(self, name).tolist() for name in ("found", "total", "matched", "false")}
         classes = {"returns": RETURNS, "range_m": RANGE_M}
         content = {"about": dict(self.about), "classes": classes, "sweeps": self.sweeps, **arrays}
@@ -120,7 +120,7 @@ class DetectionTable:
 
     @classmethod
     def load(cls, path: Path) -> DetectionTable:
-        """Return the table of a file that :meth:`save` wrote."""
+        """Return the table in a file that :meth:`save` wrote."""
         content = json.loads(path.read_text(encoding="utf-8"))
         found, total, matched, false = (
             np.array(content[name], np.int64) for name in ("found", "total", "matched", "false")
@@ -130,29 +130,29 @@ class DetectionTable:
 
 @lru_cache(maxsize=1)
 def detection_table() -> DetectionTable:
-    """Return the table that travels with the package; it is read once."""
+    """Return the shipped table; it is read once."""
     return DetectionTable.load(SHIPPED)
 
 
 def _between(values: F64, at: F64) -> tuple[NDArray[np.intp], F64]:
-    """Return the class (K,) below each value, never the last, and how far in [0, 1] it is to the next one."""
-    below = np.clip(np.searchsorted(at, values, "right") - 1, 0, len(at) - 2)
-    share: F64 = np.clip((values - at[below]) / (at[below + 1] - at[below]), 0.0, 1.0)
-    return below, share
+    """Return the class (K,) at or below each value, never the last, and the fraction (K,) toward the next one."""
+    lower = np.clip(np.searchsorted(at, values, "right") - 1, 0, len(at) - 2)
+    share: F64 = np.clip((values - at[lower]) / (at[lower + 1] - at[lower]), 0.0, 1.0)
+    return lower, share
 
 
-def _leaning(sums: F64, counts: F64, prior: F64, weight: float = _PRIOR) -> F64:
-    """Return means that lean on a prior, as if ``weight`` more had been counted with it."""
+def _shrunk(sums: F64, counts: F64, prior: F64, weight: float = _PRIOR) -> F64:
+    """Return means shrunk toward a prior of ``weight`` counts."""
     result: F64 = (sums + weight * prior) / (counts + weight)
     return result
 
 
-def _rising(values: F64, weights: F64) -> F64:
-    """Return the nearest values that do not fall along axis 1."""
+def _isotonic(values: F64, weights: F64) -> F64:
+    """Return the nearest values that do not fall along axis 1 (isotonic regression)."""
     with needed_for("tracking"):
         from scipy.optimize import isotonic_regression
     rows, row_weights = (np.moveaxis(array, 1, -1) for array in (values, weights))
-    out = np.empty_like(rows)
-    for place in np.ndindex(rows.shape[:-1]):
-        out[place] = isotonic_regression(rows[place], weights=row_weights[place]).x
-    return np.moveaxis(out, -1, 1)
+    fitted = np.empty_like(rows)
+    for index in np.ndindex(rows.shape[:-1]):
+        fitted[index] = isotonic_regression(rows[index], weights=row_weights[index]).x
+    return np.moveaxis(fitted, -1, 1)

@@ -1,4 +1,4 @@
-"""Log-odds that add up over bins of what was measured: weights of evidence (Good, 1985) by logistic regression."""
+"""Additive log-odds over binned features: weights of evidence (Good, 1985) by logistic regression."""
 
 from __future__ import annotations
 
@@ -22,21 +22,21 @@ CELL_BOUNDS: dict[str, tuple[float, ...]] = {
     "near_free": (0.05, 0.2, 0.4, 0.7, 0.95),
     "first_m": (0.3, 0.8, 1.5, 3.0, 9.0),
 }
-"""Bounds of the bins of what ``BoxCells`` measures."""
+"""Bin edges of the features of ``BoxCells``."""
 
 _RIDGE = 3.0
-"""Prior of the weights: bins that are rarely seen stay near 0."""
+"""Ridge penalty (prior precision) of the weights: rare bins stay near 0."""
 
-_NEWTON_STEPS, _SETTLED = 15, 1e-3
-"""Most steps of a fit, which ends earlier where no weight changes by more."""
+_NEWTON_STEPS, _TOLERANCE = 15, 1e-3
+"""Maximum number of Newton steps, and the largest change of a weight at which a fit has converged."""
 
 
 class Bins:
-    """Columns of features: each is a bin of one measure or of several together.
+    """Builds columns of features; each feature is a bin of one measure or of several jointly.
 
     Args:
         shape: of the cases.
-        bounds: of the bins of each measure.
+        bounds: bin edges of each measure.
     """
 
     def __init__(self, shape: tuple[int, ...], bounds: Mapping[str, tuple[float, ...]]) -> None:
@@ -44,12 +44,12 @@ class Bins:
         self._columns: list[NDArray[Any]] = []
 
     def of(self, name: str, values: NDArray[Any]) -> tuple[NDArray[np.intp], int]:
-        """Return the bins of values of a measure, and how many there are."""
+        """Return the bins of values of a measure, and their number."""
         bounds = self.bounds[name]
         return np.searchsorted(np.array(bounds), values, side="right"), len(bounds) + 1
 
     def add(self, *codes: tuple[NDArray[Any], int]) -> None:
-        """Add a feature: the bins of measures together, each with their number."""
+        """Add a feature: joint bins of measures, each given with its number of bins."""
         code: NDArray[Any] = np.zeros(self.shape, np.int32)
         count = 1
         for bins, of in codes:
@@ -64,10 +64,10 @@ class Bins:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Weights:
-    """Log-odds that add up."""
+    """Additive log-odds."""
 
-    of_bins: F64  # (W,) weights
-    bias: float  # that is always added
+    of_bins: F64  # (W,) weight of each bin
+    bias: float  # constant term
 
     def __call__(self, columns: Columns) -> F64:
         """Return the log-odds (…,) of features with columns (…, F)."""
@@ -76,36 +76,36 @@ class Weights:
 
     @classmethod
     def fit(cls, counts: NDArray[Any], label: NDArray[Any], share: F64 | None = None) -> Self:
-        """Return the weights of N rows, by logistic regression with a ridge (Newton's method).
+        """Return the weights fitted to N rows, by ridge logistic regression (Newton's method).
 
         Args:
             counts: (N, W) how often each column occurs in each row; see :func:`counted`.
             label: (N,) bool.
-            share: (N,) weights of the rows; None is 1 each. :func:`evenly` lets both classes weigh the same.
+            share: (N,) weights of the rows; None is 1 each. :func:`evenly` balances both classes.
 
         Raises:
-            ValueError: there is no row of one of the classes.
+            ValueError: one of the classes has no row.
         """
         label = np.asarray(label, np.float64)
         if not 0 < label.sum() < len(label):
             raise ValueError(f"rows must be of both classes, got {int(label.sum())} of {len(label)} of one")
         share = np.ones(len(label)) if share is None else share
-        # A further column is that of the bias, which has no prior.
+        # The last column is the bias, with almost no penalty.
         rows = np.column_stack([counts, np.ones(len(label))]).astype(np.float32)
         ridge, weights = np.append(np.full(rows.shape[1] - 1, _RIDGE), 1e-6), np.zeros(rows.shape[1])
         for _ in range(_NEWTON_STEPS):
             prob = 1.0 / (1.0 + np.exp(-rows @ weights))
-            slope = (share * (label - prob)) @ rows - ridge * weights
-            curve = (rows * (share * prob * (1.0 - prob))[:, None].astype(np.float32)).T @ rows + np.diag(ridge)
-            step = np.linalg.solve(curve, slope)
+            gradient = (share * (label - prob)) @ rows - ridge * weights
+            hessian = (rows * (share * prob * (1.0 - prob))[:, None].astype(np.float32)).T @ rows + np.diag(ridge)
+            step = np.linalg.solve(hessian, gradient)
             weights += step
-            if np.abs(step).max() < _SETTLED:
+            if np.abs(step).max() < _TOLERANCE:
                 break
         return cls(weights[:-1], float(weights[-1]))
 
 
 def counted(columns: NDArray[Any], size: int) -> NDArray[np.uint8]:
-    """Return how often each of ``size`` columns occurs (N, size) in rows of columns (N, F); others are left out.
+    """Return how often each of ``size`` columns occurs (N, size) in rows (N, F) of columns; larger ones are ignored.
 
     >>> counted(np.array([[0, 2, 2], [1, 0, 3]]), 3).tolist()
     [[1, 0, 2], [1, 1, 0]]
@@ -116,7 +116,7 @@ def counted(columns: NDArray[Any], size: int) -> NDArray[np.uint8]:
 
 
 def evenly(label: NDArray[Any]) -> F64:
-    """Return weights (N,) with which both classes weigh the same, so that log-odds are log-likelihood ratios."""
+    """Return weights (N,) that balance both classes, so that log-odds are log-likelihood ratios."""
     label = np.asarray(label, np.float64)
-    each = np.where(label == 1, 0.5 / max(float(label.sum()), 1.0), 0.5 / max(float((1 - label).sum()), 1.0))
-    return np.asarray(each * len(label), np.float64)
+    weights = np.where(label == 1, 0.5 / max(float(label.sum()), 1.0), 0.5 / max(float((1 - label).sum()), 1.0))
+    return np.asarray(weights * len(label), np.float64)

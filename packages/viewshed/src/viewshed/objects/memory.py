@@ -1,4 +1,4 @@
-"""What fusion keeps of tracks from sweep to sweep: arrays with a row for each."""
+"""State of each track that fusion keeps from sweep to sweep: arrays with one row per track."""
 
 from __future__ import annotations
 
@@ -17,22 +17,22 @@ Rows = NDArray[np.intp]
 
 @dataclass(slots=True, eq=False)
 class Memory:
-    """What is kept of N tracks."""
+    """State of N tracks."""
 
-    wealth: F64  # (N, 3) e-values against each
-    birth: F64  # (N,) ratio of where its surface came from
-    log_mean: F64  # (N,) log of the mean ratio of what its boxes held
-    looked_s: F64  # (N,) for how long they were looked at
-    offset: F64  # (N, 2) meters by which it jumped, if it is believed to be moved
-    bare_s: F64  # (N,) for how long no surface has been where it should be
-    hits: F64  # (N,) sweeps with a detection
-    looks: F64  # (N,) sweeps with a view of it
-    looks_at_hit: F64  # (N,) sweeps with a view of it until its last detection
+    wealth: F64  # (N, 3) e-value of each suspicion
+    birth: F64  # (N,) likelihood ratio of the origin of its surface
+    log_mean: F64  # (N,) log of the geometric mean ratio of its boxes' cells
+    looked_s: F64  # (N,) seconds over which that mean was taken
+    offset: F64  # (N, 2) largest suspicious jump in meters
+    bare_s: F64  # (N,) seconds without a surface where it should be
+    hits: F64  # (N,) number of sweeps with a detection
+    looks: F64  # (N,) number of sweeps in which it was visible
+    looks_at_hit: F64  # (N,) the same up to its last detection
     sightings: Sightings  # its last detections
 
     @classmethod
     def begun(cls, count: int) -> Self:
-        """Return the memory of ``count`` new tracks."""
+        """Return the state of ``count`` new tracks."""
         wealth, birth = np.zeros((count, 3)), np.ones(count)
         wealth[:, FABRICATED] = 1.0
         log_mean, looked_s, bare_s, hits, looks, looks_at_hit = np.zeros((6, count))
@@ -45,21 +45,21 @@ class Memory:
         return type(self)(**arrays, sightings=self.sightings.take(rows))
 
     def joined(self, others: Self) -> Self:
-        """Return these tracks and others after them."""
+        """Return these tracks followed by others."""
         arrays: dict[str, Any] = {
             name: np.concatenate([getattr(self, name), getattr(others, name)]) for name in _ARRAYS
         }
         return type(self)(**arrays, sightings=self.sightings.joined(others.sightings))
 
     def note(self, tracks: Rows, visible: F64, matched: Mask, t_s: float, places: F64) -> None:
-        """Take note of a sweep.
+        """Update counts and sightings by a sweep.
 
         Args:
-            tracks: (K,) numbers of those that were looked for.
+            tracks: (K,) indices of the tracks looked for.
             visible: (K,) probability that each could be seen.
-            matched: (K,) which were detected.
+            matched: (K,) bool, which were detected.
             t_s: time of the sweep.
-            places: (M, 2) of the detections.
+            places: (M, 2) centers of the detections.
         """
         self.looks[tracks] += visible >= 0.5
         hit = tracks[matched]
@@ -69,7 +69,7 @@ class Memory:
 
     @property
     def usually_found(self) -> F64:
-        """How often each was detected while it was: short tracks are often false detections that go again."""
+        """(N,) detection rate up to the last detection; short tracks often are false detections that vanish again."""
         return (self.hits + 1.0) / (self.looks_at_hit + 3.0)
 
 
@@ -77,7 +77,7 @@ _ARRAYS = tuple(each.name for each in fields(Memory) if each.name != "sightings"
 
 
 def rows_of(ids: NDArray[np.int64], known: NDArray[np.int64]) -> Rows:
-    """Return the row (N,) of each id among the known ones (M,), -1 where it is new.
+    """Return the index (N,) of each id among the known ones (M,), -1 where it is new.
 
     >>> rows_of(np.array([7, 3, 5]), np.array([3, 7])).tolist()
     [1, 0, -1]
@@ -85,12 +85,12 @@ def rows_of(ids: NDArray[np.int64], known: NDArray[np.int64]) -> Rows:
     if not len(known):
         return np.full(len(ids), -1, np.intp)
     order = np.argsort(known)
-    place = np.minimum(np.searchsorted(known, ids, sorter=order), len(known) - 1)
-    return np.where(known[order[place]] == ids, order[place], -1)
+    index = np.minimum(np.searchsorted(known, ids, sorter=order), len(known) - 1)
+    return np.where(known[order[index]] == ids, order[index], -1)
 
 
 def aligned(memory: Memory, known: NDArray[np.int64], ids: NDArray[np.int64]) -> Memory:
-    """Return the memory of tracks ``ids`` (N,), of which ``known`` (M,) have rows; the others are new."""
+    """Return the state of tracks ``ids`` (N,), given that of ``known`` (M,) ids; others are new."""
     rows = rows_of(ids, known)
     new = np.flatnonzero(rows < 0)
     both = memory.joined(Memory.begun(len(new)))

@@ -1,6 +1,6 @@
-"""How well tracks agree with the objects that there are: OSPA, GOSPA, calibration of existence, id switches.
+"""Metrics of tracks against true objects: OSPA, GOSPA, matching and id switches.
 
-:mod:`viewshed.metrics` compares cells; this compares points. Distances are those of centers, x and y in meters.
+:mod:`viewshed.metrics` compares cells; this compares points. Distances are between centers, by x and y in meters.
 """
 
 from __future__ import annotations
@@ -19,22 +19,22 @@ Points = NDArray[np.floating[Any]]
 
 @dataclass(frozen=True, slots=True)
 class Gospa:
-    """Generalized OSPA with α = 2 (Rahmathullah, García-Fernández and Svensson, 2017), and what it is made of.
+    """Generalized OSPA with α = 2 (Rahmathullah, García-Fernández and Svensson, 2017), and its components.
 
-    Its parts are costs: meters to the power p, so that the distance is the p-th root of their sum.
+    Components are costs, in meters to the power p: the distance is the p-th root of their sum.
 
     >>> Gospa(localization=1.0, missed=8.0, false=0.0, order=2.0).distance_m
     3.0
     """
 
-    localization: float  # of the pairs that are nearer than the cutoff
-    missed: float  # of objects without a track, half the cutoff to the power p each
-    false: float  # of tracks without an object, as much each
+    localization: float  # of the pairs nearer than the cutoff
+    missed: float  # half the cutoff to the power p for each object without a track
+    false: float  # the same for each track without an object
     order: float  # p
 
     @property
     def distance_m(self) -> float:
-        """The distance in meters."""
+        """Distance in meters."""
         return float((self.localization + self.missed + self.false) ** (1.0 / self.order))
 
 
@@ -42,76 +42,76 @@ def gospa(tracks: Points, truths: Points, *, cutoff_m: float = 4.0, order: float
     """Return GOSPA of tracks (N, 2+) against truths (M, 2+).
 
     Args:
-        tracks: where the tracks are; x and y count.
-        truths: where the objects are.
-        cutoff_m: from this distance on a track is not of an object.
-        order: p, how much more a large distance counts than two of half of it.
+        tracks: positions of the tracks; x and y are used.
+        truths: positions of the objects.
+        cutoff_m: distance from which a track does not match an object.
+        order: exponent p; a larger one penalizes large distances more.
 
     Raises:
         ValueError: a number is not finite, or the cutoff or the order is out of range.
         ImportError: scipy is not installed.
     """
-    apart = _distances(tracks, truths, cutoff_m, order)
-    costs = np.minimum(apart, cutoff_m) ** order
+    distance_m = _distances(tracks, truths, cutoff_m, order)
+    costs = np.minimum(distance_m, cutoff_m) ** order
     rows, columns = assignment_solver()(costs)
-    is_pair = apart[rows, columns] < cutoff_m
-    pairs, each = int(is_pair.sum()), cutoff_m**order / 2.0
+    is_pair = distance_m[rows, columns] < cutoff_m
+    pairs, unmatched_cost = int(is_pair.sum()), cutoff_m**order / 2.0
     localization = float(costs[rows, columns][is_pair].sum())
-    return Gospa(localization, each * (len(truths) - pairs), each * (len(tracks) - pairs), order)
+    return Gospa(localization, unmatched_cost * (len(truths) - pairs), unmatched_cost * (len(tracks) - pairs), order)
 
 
 def ospa_m(tracks: Points, truths: Points, *, cutoff_m: float = 1.0, order: float = 1.0) -> float:
     """Return OSPA in meters (Schuhmacher, Vo and Vo, 2008) of tracks (N, 2+) against truths (M, 2+).
 
-    The mean distance over as many pairs as the larger set has points, where those without a partner count ``cutoff_m``.
+    The mean distance over as many pairs as the larger set has points; points without a partner cost ``cutoff_m``.
 
     >>> ospa_m(np.array([[0.0, 0.2], [9.0, 9.0]]), np.array([[0.0, 0.0]]))
     0.6
     """
     costs = np.minimum(_distances(tracks, truths, cutoff_m, order), cutoff_m) ** order
-    more = max(costs.shape)
-    if more == 0:
+    max_count = max(costs.shape)
+    if max_count == 0:
         return 0.0
-    total = costs[assignment_solver()(costs)].sum() + cutoff_m**order * (more - min(costs.shape))
-    return float((total / more) ** (1.0 / order))
+    total = costs[assignment_solver()(costs)].sum() + cutoff_m**order * (max_count - min(costs.shape))
+    return float((total / max_count) ** (1.0 / order))
 
 
 @dataclass(frozen=True, slots=True)
 class MatchedObjects:
-    """Tracks and truths of one time, matched within a distance so that their sum is least."""
+    """Tracks and truths of one time, matched within a distance at the minimum sum of distances."""
 
     track_ids: NDArray[np.int64]  # (N,) int64 of all tracks
     truth_ids: NDArray[np.int64]  # (M,) int64 of all truths
-    truth_of_track: NDArray[np.int64]  # (N,) int number of each track's truth, -1 for none
+    truth_of_track: NDArray[np.int64]  # (N,) int index of each track's truth, -1 for none
 
 
 def match_objects(
     tracks: Points, track_ids: NDArray[np.int64], truths: Points, truth_ids: NDArray[np.int64], within_m: float = 2.0
 ) -> MatchedObjects:
-    """Return which tracks (N, 2+) are of which truths (M, 2+): at most ``within_m`` apart, as many as can be."""
-    apart = _distances(tracks, truths, within_m, 1.0)
-    # More pairs come first, a smaller sum of distances second.
+    """Return the matches of tracks (N, 2+) and truths (M, 2+) at most ``within_m`` apart, as many as possible."""
+    distance_m = _distances(tracks, truths, within_m, 1.0)
+    # Maximize the number of pairs first, then minimize the sum of distances.
     rows, columns = assignment_solver()(
-        np.where(apart <= within_m, apart - within_m * (1 + max(apart.shape, default=0)), 0.0)
+        np.where(distance_m <= within_m, distance_m - within_m * (1 + max(distance_m.shape, default=0)), 0.0)
     )
     truth_of_track = np.full(len(track_ids), -1, np.int64)
-    is_pair = apart[rows, columns] <= within_m
+    is_pair = distance_m[rows, columns] <= within_m
     truth_of_track[rows[is_pair]] = columns[is_pair]
     return MatchedObjects(np.asarray(track_ids, np.int64), np.asarray(truth_ids, np.int64), truth_of_track)
 
 
 @dataclass(slots=True)
 class IdSwitches:
-    """Counts how often an object had another track than the last one it had, over the times of a recording in order.
+    """Counts how often an object changes its track, over the times of a recording in order.
 
     An object that is lost and found again by a new track counts: that is the switch that a lost car causes.
     """
 
-    count: int = 0  # of them so far
+    count: int = 0  # number of switches so far
     _last: dict[int, int] = field(default_factory=dict, repr=False)
 
     def add(self, *times: MatchedObjects) -> int:
-        """Take the next times and return the count."""
+        """Add the next times and return the count."""
         for now in times:
             for track_id, truth in zip(now.track_ids.tolist(), now.truth_of_track.tolist(), strict=True):
                 if truth >= 0:
@@ -122,7 +122,7 @@ class IdSwitches:
 
 
 def _distances(tracks: Points, truths: Points, cutoff_m: float, order: float) -> F64:
-    """Return the distances (N, M) of points by x and y, or raise ValueError."""
+    """Return the distances (N, M) of points by x and y; raise ValueError if they are invalid."""
     if not 0.0 < cutoff_m < np.inf:
         raise ValueError(f"cutoff_m must be positive and finite, got {cutoff_m}")
     if not 1.0 <= order < np.inf:

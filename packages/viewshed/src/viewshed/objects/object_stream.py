@@ -1,4 +1,4 @@
-"""Objects in a stream of sweeps: detected, tracked and explained, those of each agent by themselves."""
+"""Objects in a stream of sweeps: detected, tracked and explained, separately for each agent."""
 
 from __future__ import annotations
 
@@ -26,26 +26,26 @@ from viewshed.preprocess.leveling import LeveledSweep
 from viewshed.preprocess.streams import remember
 
 PERIOD_S = 0.1
-"""Between two sweeps that do not tell their times."""
+"""Assumed period of sweeps without time stamps."""
 
 Tamper = Callable[[LeveledSweep, Detections], Detections]
-"""Returns the detections of a sweep as an attacker lets others see them, in its ``level`` frame."""
+"""Attack on the detections of a sweep: returns them as others see them, in its ``level`` frame."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SeenObjects:
-    """The objects of one agent after one of its sweeps."""
+    """Objects of one agent after one sweep."""
 
     detections: Detections  # of this sweep, in its ``level`` frame
-    # all tracks, each with why it is detected or not; in the world, or in ``level`` without poses
+    # all tracks, each with the reason why it is detected or not; in the world, or in ``level`` without poses
     explained: ExplainedTracks
     tracks_from_level: Rigid  # pose of the sweep's ``level`` frame in the frame of the tracks
-    ground: HeightMap | None = None  # about the sensor, in ``level``
-    seconds: float = 0.0  # that detecting, tracking and explaining took
+    ground: HeightMap | None = None  # heights of the ground about the sensor, in ``level``
+    seconds: float = 0.0  # run time of detection, tracking and explanation
 
     @property
     def shown(self) -> NDArray[np.bool_]:
-        """(N,) bool, tracks that others are shown: confirmed ones that the tracker still holds, and accused ones."""
+        """(N,) bool, tracks shown to others: confirmed, and either still held by the tracker or accused."""
         return self.explained.tracks.confirmed & (~self.explained.held | self.explained.accused)
 
 
@@ -57,7 +57,7 @@ class _Agent:
 
 
 class ObjectStream:
-    """Detects, tracks and explains the objects of several agents, sweep after sweep.
+    """Detects, tracks and explains the objects of several agents, sweep by sweep.
 
     >>> from viewshed import load_estimator, read_sweep
     >>> from viewshed.io.samples import junction_path
@@ -69,10 +69,10 @@ class ObjectStream:
     (True, True)
 
     Args:
-        detector: finds the objects; None is the usual one.
-        tamper: an attack on the detections, for trials; None for none.
-        model: what evidence is worth for this detector; None is the shipped one.
-        clock: of the time that it takes.
+        detector: of objects; None is the default one.
+        tamper: attack on the detections, for experiments; None for none.
+        model: evidence model for this detector; None is the shipped one.
+        clock: for run times.
 
     Raises:
         ImportError: scipy is not installed.
@@ -89,11 +89,11 @@ class ObjectStream:
         self._tamper, self._clock = tamper, clock
         self._model = model
         self._agents: dict[str, _Agent] = {}
-        self._agent("")  # what is not installed is reported now
+        self._agent("")  # raise now if scipy is not installed
         self.reset()
 
     def fresh(self) -> ObjectStream:
-        """Return a stream like this one, without any track."""
+        """Return a stream with the same settings and no tracks."""
         return ObjectStream(self._detector, self._tamper, self._model, self._clock)
 
     def reset(self) -> None:
@@ -107,23 +107,23 @@ class ObjectStream:
 
         Args:
             leveled: the sweep.
-            estimate: what it sees.
-            report: of its monitor: where it alarms, nothing is claimed of tracks.
+            estimate: its field of view.
+            report: of its monitor; tracks in sectors under alarm are not judged.
 
         Raises:
             ValueError: a number of the sweep or of the estimate is out of range.
         """
-        begun_s = self._clock()
-        detections, (tracks, found, views) = self.observe(leveled, estimate, report)
-        # 4. Why each is detected or not.
-        explained = self._agent(leveled.sweep.agent).fusion.explain(tracks, found, views)
+        start_s = self._clock()
+        detections, (tracks, moved_detections, views) = self.observe(leveled, estimate, report)
+        # 4. Explain why each track is detected or not.
+        explained = self._agent(leveled.sweep.agent).fusion.explain(tracks, moved_detections, views)
         pose = leveled.world_from_level or Rigid.identity()
-        return SeenObjects(detections, explained, pose, leveled.ground, self._clock() - begun_s)
+        return SeenObjects(detections, explained, pose, leveled.ground, self._clock() - start_s)
 
     def observe(
         self, leveled: LeveledSweep, estimate: FovEstimate, report: IntegrityReport | None = None
     ) -> tuple[Detections, Observed]:
-        """Return the detections of an agent's next sweep in ``level``, and what fusion is given of it.
+        """Return the detections of an agent's next sweep in ``level``, and the input of fusion.
 
         Raises:
             ValueError: a number of the sweep or of the estimate is out of range.
@@ -133,20 +133,20 @@ class ObjectStream:
         t_s = agent.last_s + PERIOD_S if sweep.t_ns is None else sweep.t_ns / 1e9
         agent.last_s = t_s
 
-        # 1. What the detector finds, in the frame of the tracks.
+        # 1. Detect objects, in the frame of the tracks.
         detections = self._detector.detect(leveled)
         if self._tamper is not None:
             detections = self._tamper(leveled, detections)
         tracks_from_level = Rigid.identity() if pose is None else pose
-        found = detections.moved(tracks_from_level)
-        # 2. Tracks, by what the beams of this sweep could have seen.
+        moved_detections = detections.moved(tracks_from_level)
+        # 2. Track by what the beams of this sweep could have seen.
         view = BeamView(leveled, t_s)
-        tracks = agent.tracker.step(t_s, found, view)
-        # 3. What the field of view says of them.
-        seen = SensorView(
+        tracks = agent.tracker.step(t_s, moved_detections, view)
+        # 3. Build the field of view for fusion.
+        sensor_view = SensorView(
             sweep.agent, view, tracks_from_level.translation[:2], SeenCells.of(estimate), report, tracks_from_level.yaw
         )
-        return detections, (tracks, found, (seen,))
+        return detections, (tracks, moved_detections, (sensor_view,))
 
     def _agent(self, name: str) -> _Agent:
         agent = self._agents.get(name) or _Agent(SingleFusion(self._model))

@@ -1,4 +1,4 @@
-"""What fusion needs from one sensor of the agent: what it could see, what its cells are, and whether it alarms."""
+"""Field of view of one sensor for fusion: what it could see, the states of its cells, and its monitor's alarm."""
 
 from __future__ import annotations
 
@@ -16,26 +16,26 @@ from viewshed.objects.tracks import Tracks
 from viewshed.objects.views import View
 
 _NEAR_TIME_S = 0.15
-"""A view of another time than the tracks by more than this says nothing of them."""
+"""Maximum time difference between a view and the tracks."""
 
-MOST_TRACKS = 2000
-"""More tracks in one message are refused: the work is bounded."""
+MAX_TRACKS = 2000
+"""Maximum number of tracks per message, to bound the work."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SensorView:
-    """What one sensor's field of view says at the time of one sweep."""
+    """Field of view of one sensor during one sweep."""
 
     sensor: str  # its name
     view: View  # what could be seen
     place: F64  # (2,) x and y of the sensor in the tracks' frame
-    # states of the cells, or None where the field of view has none (a polygon, or no field of view)
+    # states of the cells; None if the field of view has none (a polygon, or no field of view)
     cells: SeenCells | None = None
-    report: IntegrityReport | None = None  # of the monitor of this sweep, or None
+    report: IntegrityReport | None = None  # report of the monitor on this sweep, or None
     yaw: float = 0.0  # heading of the sensor's ``level`` frame in the tracks' frame, radians
 
     def alarmed(self, boxes: F64) -> Mask:
-        """Return which boxes (K,) lie in sectors under alarm; all of them where an alarm names no sector."""
+        """Return which boxes (K,) lie in sectors under alarm; all of them if an alarm names no sector."""
         report = self.report
         if report is None or not report.inconsistent:
             return np.zeros(len(boxes), np.bool_)
@@ -47,13 +47,13 @@ class SensorView:
 
 
 Observed = tuple[Tracks, Detections, Sequence[SensorView]]
-"""What fusion is given of one sweep."""
+"""Input of fusion for one sweep."""
 
 
 def check_views(tracks: Tracks, views: Sequence[SensorView]) -> None:
-    """Raise a ValueError unless views are of the tracks' time and frame, each sensor once, and tracks not too many."""
-    if len(tracks) > MOST_TRACKS:
-        raise ValueError(f"tracks must be at most {MOST_TRACKS} in one message, got {len(tracks)}")
+    """Raise ValueError unless views match the tracks' time and frame, sensors are distinct, and tracks are few."""
+    if len(tracks) > MAX_TRACKS:
+        raise ValueError(f"tracks must be at most {MAX_TRACKS} in one message, got {len(tracks)}")
     names = [view.sensor for view in views]
     if not names or len(set(names)) != len(names):
         raise ValueError(f"views must be of one sensor at least, each once, got {names}; name each sensor differently")

@@ -1,4 +1,4 @@
-"""What a candidate is, by its shape: a small network of two hidden layers, fitted in simulated worlds."""
+"""Classify candidates by shape: a small network with two hidden layers, trained in simulated worlds."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from viewshed.detections import ObjectKind
 from viewshed.objects.candidates import SHAPES
 
 SHIPPED = Path(__file__).with_name("shapes.npz")
-"""The classifier that travels with the package."""
+"""Shipped classifier."""
 
 
 class SeenAs(IntEnum):
-    """What a candidate is, and for vehicles whether its long side is the vehicle's: an end alone shows the width."""
+    """Class of a candidate; for vehicles, whether its long side is the vehicle's side or only an end."""
 
     OTHER = 0
     PEDESTRIAN = 1
@@ -41,24 +41,24 @@ KIND_SEEN_AS = np.array(
     ],
     np.uint8,
 )  # fmt: skip
-"""The kind of each member of :class:`SeenAs` but ``NOTHING``."""
+"""Kind of each member of :class:`SeenAs` but ``NOTHING``."""
 
 ENDS = (SeenAs.CAR_END, SeenAs.TRUCK_END)
-"""Members whose long side is not the vehicle's."""
+"""Members whose long side is the vehicle's width."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ShapeClassifier:
-    """A network over standardized shapes: linear, rectified, linear, rectified, linear, softmax.
+    """Network over standardized shape features: linear, ReLU, linear, ReLU, linear, softmax.
 
-    Shapes more than six deviations from the mean count as six.
+    Standardized features are clipped to six standard deviations.
 
     Raises:
-        ValueError: the arrays do not fit each other, or a number is not finite.
+        ValueError: the shapes of the arrays are inconsistent, or a number is not finite.
     """
 
-    mean: F32  # (S,) of each shape
-    scale: F32  # (S,) what a shape's distance from the mean is multiplied with
+    mean: F32  # (S,) mean of each feature
+    scale: F32  # (S,) factor on the deviation from the mean
     weights: tuple[F32, ...]  # matrices (S, H), (H, G) and (G, 8)
     biases: tuple[F32, ...]  # (H,), (G,) and (8,)
 
@@ -74,12 +74,12 @@ class ShapeClassifier:
             raise ValueError("the classifier must be finite; fit it again")
 
     def probabilities(self, shapes: F32) -> F32:
-        """Return the probability (C, 8) of each member of :class:`SeenAs` for candidates with shapes (C, S)."""
+        """Return the probability (C, 8) of each member of :class:`SeenAs` for candidates with features (C, S)."""
         layers = (array for pair in zip(self.weights, self.biases, strict=True) for array in pair)
         return _core.shape_probabilities(shapes, self.mean, self.scale, *layers)
 
     def save(self, path: Path) -> None:
-        """Write it as an NPZ file."""
+        """Write the classifier as an NPZ file."""
         buffer = io.BytesIO()
         layers = {f"weight_{k}": weight for k, weight in enumerate(self.weights)}
         layers |= {f"bias_{k}": bias for k, bias in enumerate(self.biases)}
@@ -88,7 +88,7 @@ class ShapeClassifier:
 
     @classmethod
     def load(cls, path: Path) -> ShapeClassifier:
-        """Return the classifier of a file that :meth:`save` wrote."""
+        """Return the classifier in a file that :meth:`save` wrote."""
         with np.load(path, allow_pickle=False) as file:
             layers = sum(name.startswith("weight_") for name in file.files)
             weights = tuple(file[f"weight_{k}"] for k in range(layers))
@@ -97,5 +97,5 @@ class ShapeClassifier:
 
 @lru_cache(maxsize=1)
 def shipped_classifier() -> ShapeClassifier:
-    """Return the classifier that travels with the package; it is read once."""
+    """Return the shipped classifier; it is read once."""
     return ShapeClassifier.load(SHIPPED)

@@ -1,4 +1,4 @@
-"""Detections and views, sweep by sweep, to tracks."""
+"""Multi-object tracker: detections and views of successive sweeps to tracks."""
 
 from __future__ import annotations
 
@@ -38,41 +38,41 @@ from viewshed.objects.views import View
 
 Numbers = NDArray[np.int32]
 
-MOST_TRACKS, MOST_DETECTIONS = 500, 1000
-"""The most tracks that are held: further detections begin none, and a note says so. More detections of one sweep are
-refused."""
+MAX_TRACKS, MAX_DETECTIONS = 500, 1000
+"""Maximum number of tracks (further detections start none, with a note), and of detections per sweep (more are
+refused)."""
 
-_LONGEST_M = 30.0
-"""Longer boxes are left out, and a note says so."""
+_MAX_LENGTH_M = 30.0
+"""Maximum length of a box; longer ones are left out, with a note."""
 
 _LATE_S = 0.5
-"""Detections late by up to this are left out; those from still longer ago begin a new recording."""
+"""Sweeps late by up to this are left out; one from longer ago starts a new recording."""
 
 _SAME_TIME_S = 0.02
-"""A view further than this from the time of the detections is of another sweep."""
+"""Maximum time difference between the view and the detections of one sweep."""
 
 MOTION = Motion(standing_share=0.5, outlier_share=0.2)
-"""How road users move, and how well boxes about clusters of returns measure them."""
+"""Motion of road users, and accuracy of boxes around clusters of returns."""
 
 SPREAD_FROM_M = 0.5
-"""The view is looked up at several places of a track from this standard deviation of its place on."""
+"""The view is sampled at several positions of a track if the standard deviation of its position is larger."""
 
 _EXTENT = [2, 3, 4, 5, 6]
-"""Columns of a box that are filtered beside the state: z, length, width, height, yaw."""
+"""Columns of a box that are filtered apart from the state: z, length, width, height, yaw."""
 
 _KIND_KEPT = 0.9
-"""Part of the votes for a track's kind that a further vote leaves."""
+"""Factor on the votes for a track's kind at each further vote."""
 
 _SPEEDS_MPS = {
     ObjectKind.OTHER: 15.0, ObjectKind.PEDESTRIAN: 4.0, ObjectKind.CYCLIST: 15.0,
     ObjectKind.CAR: 40.0, ObjectKind.TRUCK: 30.0,
 }  # fmt: skip
-"""The fastest that an object of a kind comes out of where nothing is seen."""
+"""Maximum speed of a kind of object that comes out of an unseen place."""
 
 
 @dataclass(slots=True)
 class TrackTable:
-    """What a tracker holds of N tracks; the first arrays are those of :class:`Tracks`."""
+    """Internal state of N tracks; the first arrays are those of :class:`Tracks`."""
 
     ids: NDArray[np.int64]
     states: F64
@@ -88,15 +88,15 @@ class TrackTable:
     seen_s: F64
     born_hidden: F64
     votes: F64  # (N, kinds) of the detections for each kind
-    levels: F64  # (N, LEVELS) what is known of the number that decides what can be found; see ``existence``
-    updates: Numbers  # (N,) int32 detections so far
-    misses: Numbers  # (N,) int32 sweeps without a detection since the last one, of those that count
-    lasting: F64  # (N,) probability that it is something persistent that only looks like an object
-    standing: F64  # (N,) probability that it has stood since its last detection, 0 while it is detected
+    levels: F64  # (N, LEVELS) distribution of the hidden number u that decides detectability; see ``existence``
+    updates: Numbers  # (N,) int32 number of detections
+    misses: Numbers  # (N,) int32 consecutive missed sweeps since the last detection, of those that count
+    lasting: F64  # (N,) probability that it is a persistent false source that looks like an object
+    standing: F64  # (N,) probability that it has stood still since its last detection; 0 while it is detected
 
     @classmethod
     def begun(cls, t_s: float, boxes: F64, kinds: NDArray[np.uint8], noise: F64, motion: Motion) -> Self:
-        """Return tracks that begin at detections (K, 7) with center covariances (K, 2, 2); without ids."""
+        """Return new tracks at detections (K, 7) with center covariances (K, 2, 2), without ids."""
         count = len(boxes)
         states = np.zeros((count, 4))
         states[:, :2] = boxes[:, :2]
@@ -131,7 +131,7 @@ class TrackTable:
 
     @property
     def kinds(self) -> NDArray[np.uint8]:
-        """(N,) the kind with most votes."""
+        """(N,) kind with the most votes."""
         return np.asarray(self.votes.argmax(axis=1), np.uint8)
 
     def take(self, chosen: NDArray[np.bool_] | NDArray[np.intp]) -> Self:
@@ -139,89 +139,87 @@ class TrackTable:
         return type(self)(*(getattr(self, name)[chosen] for name in self.__slots__))
 
     def joined(self, others: Self) -> Self:
-        """Return these tracks and others after them."""
+        """Return these tracks followed by others."""
         arrays = ((getattr(self, name), getattr(others, name)) for name in self.__slots__)
         return type(self)(*(np.concatenate(pair) for pair in arrays))
 
 
 @dataclass(frozen=True, slots=True)
 class Measured:
-    """The K detections of one sweep, as rules see them."""
+    """The K detections of one sweep with their uncertainty."""
 
     boxes: F64  # (K, 7)
     kinds: NDArray[np.uint8]  # (K,) uint8
-    noise: F64  # (K, 2, 2) covariances of their centers, square meters
-    false_odds: F64  # (K,) false detections like each, for one like it of an object
+    noise: F64  # (K, 2, 2) covariances of their centers in square meters
+    false_odds: F64  # (K,) false detections like each per true one
 
     def __len__(self) -> int:
         """Return the number of detections."""
         return len(self.boxes)
 
     def take(self, chosen: NDArray[np.bool_] | NDArray[np.intp] | Numbers) -> Self:
-        """Return some of them."""
+        """Return some of the detections."""
         return type(self)(self.boxes[chosen], self.kinds[chosen], self.noise[chosen], self.false_odds[chosen])
 
 
 class Rules(Protocol):
-    """What a tracker does with what it has predicted: which detection is whose, which tracks begin, and which end."""
+    """Rules of a tracker: association, existence, and start and end of tracks."""
 
     @property
     def motion(self) -> Motion:
-        """How objects move and are measured."""
+        """Motion and measurement model."""
         ...
 
     @property
     def false_odds(self) -> float:
-        """False detections for one of an object."""
+        """False detections per true one."""
         ...
 
     def look(self, tracks: TrackTable, view: View, dt_s: float) -> None:
-        """Write what the view says of each track, and what ``dt_s`` seconds change."""
+        """Update the tracks by the view and by the elapsed time ``dt_s``."""
         ...
 
     def match(self, tracks: TrackTable, measured: Measured) -> Numbers:
-        """Return the number (N,) of the detection of each track, -1 for none."""
+        """Return the index (N,) of each track's detection, -1 for none."""
         ...
 
     def judge(self, tracks: TrackTable, measured: Measured, matched: Numbers) -> None:
-        """Write what hits and misses say of each track; states are those before the detections."""
+        """Update the tracks by hits and misses; their states are the predicted ones."""
         ...
 
     def begin(
         self, born: TrackTable, measured: Measured, tracks: TrackTable, view: View, before: View | None
     ) -> TrackTable:
-        """Return those new tracks that begin, with what is known of them; each has its detection."""
+        """Return the new tracks to start, with their probabilities; each has its detection."""
         ...
 
     def keep(self, tracks: TrackTable, t_s: float) -> NDArray[np.bool_]:
-        """Write which tracks are confirmed, and return those (N,) that are kept."""
+        """Update which tracks are confirmed, and return the mask (N,) of tracks to keep."""
         ...
 
 
 @dataclass(frozen=True, slots=True)
 class ExistenceRules:
-    """A track is kept by the probability that it exists; the field of view tells whether a missed one could be seen."""
+    """Rules by the probability of existence; the view tells whether a missed track could have been seen."""
 
-    motion: Motion = MOTION  # how objects move and are measured
-    # squared Mahalanobis distance beyond which no detection is of a track; 13.8 leaves out one in a thousand
+    motion: Motion = MOTION  # motion and measurement model
+    # maximum squared Mahalanobis distance of a match; 13.8 excludes one true detection in a thousand
     gate: float = 13.8
     objects_per_m2: float = 1e-3  # detected objects per square meter
-    false_odds: float = 0.1  # false detections for one of an object, where nothing better is known of a detection
-    # false detections of something new that will come back where it is, for one that will not
-    lasting_share: float = 0.6
-    unseen_share: float = 0.2  # part of the detected objects that are not tracked yet, where they could not be seen
-    seen_share: float = 0.1  # part of these where they would have been seen
-    recurrence: float = 0.8  # how often something persistent is falsely detected, against how often an object is
-    most_found: float = 0.98  # probability that a detector finds what it can find, at most
-    # seconds after which doubt about one track is a new doubt; 0 counts each sweep as new evidence
-    doubt_s: float = 0.1
-    lifetime_s: float = 60.0  # mean time that an object exists
-    surest: float = 0.99  # existence is never above this
+    false_odds: float = 0.1  # false detections per true one, where nothing better is known of a detection
+    lasting_share: float = 0.6  # persistent false sources per false detection that does not come back
+    unseen_share: float = 0.2  # share of the detected objects that are not tracked yet, where they could not be seen
+    seen_share: float = 0.1  # share of these where they would have been seen
+    recurrence: float = 0.8  # detection rate of a persistent false source relative to that of an object
+    most_found: float = 0.98  # maximum probability that a detector finds a detectable object
+    doubt_s: float = 0.1  # correlation time of doubt about one track; 0 treats each sweep as independent evidence
+    lifetime_s: float = 60.0  # mean lifetime of an object
+    surest: float = 0.99  # maximum of existence
     confirm_from: float = 0.75  # a track is confirmed when its existence reaches this
     drop_below: float = 0.05  # a track ends when its existence is lower
-    vague_m: float = 2.5  # a track is not confirmed while the standard deviation of its place is larger
-    lost_m: float = 6.0  # a track ends when the standard deviation of its place is larger
-    spreads: bool = True  # ask the view at five places of a track's distribution where its mean is not enough
+    vague_m: float = 2.5  # a track is not confirmed while the standard deviation of its position is larger
+    lost_m: float = 6.0  # a track ends when the standard deviation of its position is larger
+    spreads: bool = True  # sample the view at five positions of a track's distribution where its mean is not enough
 
     def __post_init__(self) -> None:
         for name in ("unseen_share", "seen_share", "recurrence", "most_found", "surest", "confirm_from", "drop_below"):
@@ -232,7 +230,7 @@ class ExistenceRules:
                 raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
 
     def look(self, tracks: TrackTable, view: View, dt_s: float) -> None:
-        """Ask the view of each track, let existence decay, and let what is known of its doubt fade."""
+        """Query the view of each track, and let existence and the knowledge of u decay."""
         tracks.visible = _spread_visible(tracks, view) if self.spreads else view.visible(tracks.boxes)
         tracks.detectable = view.detectable(tracks.boxes, tracks.kinds)
         kept = np.exp(-dt_s / self.lifetime_s)
@@ -240,7 +238,7 @@ class ExistenceRules:
         tracks.levels = forget(tracks.levels, float(np.exp(-dt_s / self.doubt_s)) if self.doubt_s > 0.0 else 0.0)
 
     def match(self, tracks: TrackTable, measured: Measured) -> Numbers:
-        """Return the assignment that is most likely: log-likelihood ratios of (track's, false) are added up."""
+        """Return the most likely assignment: maximum sum of log-likelihood ratios (of this track, false detection)."""
         motion, centers, noise = self.motion, measured.boxes[:, :2], measured.noise
         squared, determinants = squared_distances(tracks.states, tracks.covariances, centers, noise)
         log_density = center_log_density(squared, determinants)
@@ -251,24 +249,24 @@ class ExistenceRules:
                 np.log1p(-motion.outlier_share) + log_density,
                 np.log(motion.outlier_share) + center_log_density(squared, determinants),
             )
-        # A track that could not be seen may be found all the same: the view may be wrong.
-        found = np.clip(self._found(tracks), 1.0 - self.most_found, self.most_found)
-        real = np.maximum(tracks.existence * found, 1e-300)  # nothing is left of it after a night without sweeps
+        # A track that could not be seen may still be detected: the view may be wrong.
+        prob_found = np.clip(self._found(tracks), 1.0 - self.most_found, self.most_found)
+        real = np.maximum(tracks.existence * prob_found, 1e-300)  # existence underflows after a night without sweeps
         benefit = log_density + np.log(real / (1.0 - real))[:, None] - np.log(self._clutter_per_m2(measured))
         return assign(np.where(squared <= self.gate, benefit, 0.0))
 
     def judge(self, tracks: TrackTable, measured: Measured, matched: Numbers) -> None:
-        """Write existence and doubt after hits and misses."""
+        """Update existence and u by hits and misses."""
         is_hit = matched >= 0
         shares = shares_found(tracks.visible * tracks.detectable, self.most_found)
-        found = found_probability(tracks.levels, shares)
+        prob_found = found_probability(tracks.levels, shares)
         density, clutter = np.zeros(len(tracks)), np.ones(len(tracks))
-        mine = measured.take(matched[is_hit])
-        density[is_hit] = _densities(tracks.states[is_hit], tracks.covariances[is_hit], mine, self.motion).sum(axis=0)
-        clutter[is_hit] = self._clutter_per_m2(mine)
-        both = tracks.existence, tracks.lasting, found
-        hit = after_detection(*both, density, clutter, self.recurrence)
-        miss = after_miss(*both, self.recurrence)
+        hits = measured.take(matched[is_hit])
+        density[is_hit] = _densities(tracks.states[is_hit], tracks.covariances[is_hit], hits, self.motion).sum(axis=0)
+        clutter[is_hit] = self._clutter_per_m2(hits)
+        priors = tracks.existence, tracks.lasting, prob_found
+        hit = after_detection(*priors, density, clutter, self.recurrence)
+        miss = after_miss(*priors, self.recurrence)
         existence, tracks.lasting = (np.where(is_hit, *pair) for pair in zip(hit, miss, strict=True))
         tracks.existence = np.minimum(existence, self.surest)
         hit_levels = (1.0 - shares) * clutter[:, None] + shares * density[:, None]
@@ -277,9 +275,9 @@ class ExistenceRules:
     def begin(
         self, born: TrackTable, measured: Measured, tracks: TrackTable, view: View, before: View | None
     ) -> TrackTable:
-        """Return new tracks with how plausible it is that they are objects: could they have come unseen?
+        """Return the new tracks, with their existence by whether they could have come unseen.
 
-        What lies in the box of a track that was found in this sweep, or of a new one, is a part of it and begins none.
+        A detection in the box of a detected track or of another new one is a part of it and starts no track.
         """
         is_part = inside(born.boxes, tracks.boxes[tracks.detection >= 0]).any(axis=0)
         begins = ~is_part & no_part_of_earlier(inside(born.boxes, born.boxes))
@@ -290,7 +288,7 @@ class ExistenceRules:
             speeds = np.array([_SPEEDS_MPS[kind] for kind in ObjectKind])[born.kinds]
             within_m = speeds * abs(view.t_s - before.t_s) + self.motion.center_std_m
             born.born_hidden = before.hides_near(born.boxes, within_m)
-            # It may also have been there, in view, and not found.
+            # It may also have been in view and missed.
             unseen = 1.0 - (1.0 - born.born_hidden) * before.detectable(born.boxes, born.kinds)
         new_per_m2 = self.objects_per_m2 * self.unseen_share
         expected = new_per_m2 * (self.seen_share + (1.0 - self.seen_share) * unseen)
@@ -302,14 +300,14 @@ class ExistenceRules:
         return born
 
     def keep(self, tracks: TrackTable, t_s: float) -> NDArray[np.bool_]:
-        """Keep what is likely enough and whose place is known."""
+        """Keep tracks that are likely to exist and whose position is known."""
         variance = np.maximum(tracks.covariances[:, 0, 0], tracks.covariances[:, 1, 1])
         tracks.confirmed = tracks.confirmed | (tracks.existence >= self.confirm_from)
         tracks.confirmed &= variance <= self.vague_m**2
         return np.asarray((tracks.existence >= self.drop_below) & (variance <= self.lost_m**2))
 
     def _clutter_per_m2(self, measured: Measured) -> F64:
-        """Return how many false detections like each (K,) do not come back, for each square meter."""
+        """Return the density (K,) per square meter of false detections like each that do not come back."""
         return self.objects_per_m2 * measured.false_odds
 
     def _found(self, tracks: TrackTable) -> F64:
@@ -330,10 +328,10 @@ class Tracker:
     """
 
     def __init__(self, rules: Rules | None = None) -> None:
-        """Make a tracker without tracks.
+        """Build a tracker without tracks.
 
         Args:
-            rules: what it does with detections; None is :class:`ExistenceRules`.
+            rules: association, existence, and start and end of tracks; None is :class:`ExistenceRules`.
 
         Raises:
             ImportError: scipy is not installed.
@@ -344,10 +342,10 @@ class Tracker:
         self._table = _no_tracks(self.rules.motion)
         self._last: Tracks | None = None
         self._view: View | None = None
-        self._has_told_odds = False
+        self._has_noted_odds = False
 
     def reset(self) -> None:
-        """Forget all tracks and times; ids go on where they were."""
+        """Forget all tracks and times; new ids continue after the old ones."""
         self._table, self._last, self._view = _no_tracks(self.rules.motion), None, None
 
     def step(
@@ -356,31 +354,31 @@ class Tracker:
         """Return all tracks after the detections of one sweep.
 
         Args:
-            t_s: time of the sweep.
-            detections: in the frame of the view: the world, or ``level`` where there is no pose.
+            t_s: time of the sweep in seconds.
+            detections: in the frame of the view: the world, or ``level`` if there is no pose.
             view: what could be seen in this sweep.
-            noise: (K, 2, 2) covariance of each detection's center in square meters; None is the rules' own.
-            false_odds: (K,) how many false detections there are like each, for one of an object
-                (:meth:`viewshed.objects.detection_table.DetectionTable.false_odds`); None asks the view, and where that
-                knows none the rules, with a note at the first detections.
+            noise: (K, 2, 2) covariance of each detection's center in square meters; None is that of the rules.
+            false_odds: (K,) false detections like each per true one
+                (:meth:`viewshed.objects.detection_table.DetectionTable.false_odds`); None takes those of the view, or
+                else those of the rules, with a note at the first detections.
 
         Raises:
             ValueError: there are too many detections, a covariance is not positive definite, odds are not positive, or
-                the view is of another time. The tracks are as before, and the next sweep can follow.
+                the view is of another time. The tracks are unchanged, and the next sweep can follow.
         """
         rules, notes = self.rules, list[str]()
         measured = self._checked(t_s, detections, view, noise, false_odds, notes)
-        late = self._time_note(t_s, view, notes)
-        if late is not None:
-            return late
-        numbers = np.flatnonzero(detections.boxes[:, 3:6].max(axis=1, initial=0.0) <= _LONGEST_M)
+        unchanged = self._time_note(t_s, view, notes)
+        if unchanged is not None:
+            return unchanged
+        numbers = np.flatnonzero(detections.boxes[:, 3:6].max(axis=1, initial=0.0) <= _MAX_LENGTH_M)
         if len(numbers) < len(detections):
             refused = len(detections) - len(numbers)
-            notes.append(f"{refused} of {len(detections)} boxes left out: longer than {_LONGEST_M:g} m")
+            notes.append(f"{refused} of {len(detections)} boxes left out: longer than {_MAX_LENGTH_M:g} m")
         measured = measured.take(numbers)
 
-        # Predict, ask the view, and find which detection is whose.
-        tracks, motion = self._table.take(np.arange(len(self._table))), rules.motion  # a copy: a view may raise
+        # Predict, query the view, associate and update.
+        tracks, motion = self._table.take(np.arange(len(self._table))), rules.motion  # copy, because a view may raise
         dt_s = 0.0 if self._last is None else t_s - self._last.t_s
         _predict(tracks, dt_s, motion)
         rules.look(tracks, view, dt_s)
@@ -388,20 +386,20 @@ class Tracker:
         rules.judge(tracks, measured, matched)
         _update(tracks, t_s, measured, matched, motion)
 
-        # What is left over begins tracks, up to the most tracks.
-        boxes, is_left = measured.boxes, np.ones(len(measured), np.bool_)
-        is_left[matched[matched >= 0]] = False
-        left = np.flatnonzero(is_left)
-        left = left[np.lexsort((boxes[left, 1], boxes[left, 0], -detections.returns[numbers[left]]))]
-        new = measured.take(left)
+        # Start tracks at unmatched detections, up to the maximum number of tracks.
+        boxes, is_unused = measured.boxes, np.ones(len(measured), np.bool_)
+        is_unused[matched[matched >= 0]] = False
+        unused = np.flatnonzero(is_unused)
+        unused = unused[np.lexsort((boxes[unused, 1], boxes[unused, 0], -detections.returns[numbers[unused]]))]
+        new = measured.take(unused)
         born = TrackTable.begun(t_s, new.boxes, new.kinds, new.noise, motion)
-        born.detection = left.astype(np.int32)
+        born.detection = unused.astype(np.int32)
         if len(born):
             born = rules.begin(born, new, tracks, view, self._view)
         tracks = _kept(tracks, rules.keep(tracks, t_s))
-        capacity = max(MOST_TRACKS - len(tracks), 0)
+        capacity = max(MAX_TRACKS - len(tracks), 0)
         if len(born) > capacity:
-            notes.append(f"{len(born) - capacity} new tracks refused: {MOST_TRACKS} are held")
+            notes.append(f"{len(born) - capacity} new tracks refused: {MAX_TRACKS} are held")
             born = born.take(np.sort(np.argsort(-born.existence, kind="stable")[:capacity]))
         born.ids = np.arange(self._next_id, self._next_id + len(born))
         self._next_id += len(born)
@@ -422,37 +420,37 @@ class Tracker:
         false_odds: F64 | None,
         notes: list[str],
     ) -> Measured:
-        """Return the detections with all that is known of them, a note where odds are guessed, or raise ValueError."""
+        """Return the validated detections with noise and odds, a note where odds are defaults, or raise ValueError."""
         count = len(detections)
         if not np.isfinite(t_s):
             raise ValueError(f"t_s must be finite, got {t_s}")
-        if count > MOST_DETECTIONS:
-            raise ValueError(f"detections must be at most {MOST_DETECTIONS}, got {count}; this sweep is refused")
+        if count > MAX_DETECTIONS:
+            raise ValueError(f"detections must be at most {MAX_DETECTIONS}, got {count}; this sweep is refused")
         if not abs(view.t_s - t_s) <= _SAME_TIME_S:
             raise ValueError(f"view must be of the time of the detections, {t_s:.3f} s, got {view.t_s:.3f} s")
-        known = view.false_odds(detections.boxes, detections.kinds) if false_odds is None else false_odds
-        odds = np.full(count, self.rules.false_odds) if known is None else np.asarray(known, np.float64)
+        given_odds = view.false_odds(detections.boxes, detections.kinds) if false_odds is None else false_odds
+        odds = np.full(count, self.rules.false_odds) if given_odds is None else np.asarray(given_odds, np.float64)
         if odds.shape != (count,) or not (np.isfinite(odds) & (odds > 0.0)).all():
             raise ValueError(f"false_odds must be {count} positive numbers, got shape {odds.shape} or other numbers")
         spread = self.rules.motion.center_noise(count) if noise is None else np.asarray(noise, np.float64)
         if spread.shape != (count, 2, 2):
             raise ValueError(f"noise must have shape ({count}, 2, 2), got {spread.shape}")
         determinants = spread[:, 0, 0] * spread[:, 1, 1] - spread[:, 0, 1] * spread[:, 1, 0]
-        is_good = (determinants > 0.0) & (spread[:, 0, 0] > 0.0) & np.isfinite(spread).all(axis=(1, 2))
-        is_good &= np.isclose(spread[:, 0, 1], spread[:, 1, 0])
-        if not is_good.all():
-            first = int(np.flatnonzero(~is_good)[0])
+        is_valid = (determinants > 0.0) & (spread[:, 0, 0] > 0.0) & np.isfinite(spread).all(axis=(1, 2))
+        is_valid &= np.isclose(spread[:, 0, 1], spread[:, 1, 0])
+        if not is_valid.all():
+            first = int(np.flatnonzero(~is_valid)[0])
             raise ValueError(
                 f"noise must be symmetric and positive definite, got {spread[first].tolist()} for detection {first}"
             )
-        if known is None and count and not self._has_told_odds:
-            self._has_told_odds = True
+        if given_odds is None and count and not self._has_noted_odds:
+            self._has_noted_odds = True
             guess = f"{self.rules.false_odds:g} for one of an object"
             notes.append(f"false detections are not known for this view: {guess} taken; give false_odds")
         return Measured(detections.boxes, detections.kinds, spread, odds)
 
     def _time_note(self, t_s: float, view: View, notes: list[str]) -> Tracks | None:
-        """Return the last tracks where a sweep is late or doubled; begin anew where the recording did."""
+        """Return the last tracks if a sweep is late or repeated; reset if the recording or the frame changed."""
         last = self._last
         if last is None:
             return None
@@ -479,7 +477,7 @@ def _no_tracks(motion: Motion) -> TrackTable:
 
 
 def _predict(tracks: TrackTable, dt_s: float, motion: Motion) -> None:
-    """Move tracks ``dt_s`` seconds on; those that are missed and stand stay, and do not begin to move either."""
+    """Predict the tracks ``dt_s`` seconds ahead; missed tracks that stand still stay where they are."""
     noise = motion.process_noise(dt_s)
     if motion.standing_share:
         lost = np.flatnonzero((tracks.detection < 0) & (tracks.standing == 0.0))
@@ -494,20 +492,20 @@ def _predict(tracks: TrackTable, dt_s: float, motion: Motion) -> None:
 
 
 def _update(tracks: TrackTable, t_s: float, measured: Measured, matched: Numbers, motion: Motion) -> None:
-    """Write states, boxes and kinds of the tracks that were matched with a detection."""
+    """Update states, boxes and kinds of the matched tracks."""
     hit = np.flatnonzero(matched >= 0)
-    mine = measured.take(matched[hit])
+    matched_detections = measured.take(matched[hit])
     tracks.detection = matched
-    states, covariances, noise = tracks.states[hit], tracks.covariances[hit], mine.noise
+    states, covariances, noise = tracks.states[hit], tracks.covariances[hit], matched_detections.noise
     if motion.outlier_share and len(hit):
-        # An outlier weighs less, by the probability that it is one.
-        usual, outlier = _densities(states, covariances, mine, motion)
+        # Inflate the noise by the probability that the detection is an outlier.
+        usual, outlier = _densities(states, covariances, matched_detections, motion)
         share = outlier / np.maximum(usual + outlier, 1e-300)
         noise = noise + share[:, None, None] * (motion.outlier_noise(noise) - noise)
-    tracks.states[hit], tracks.covariances[hit] = update(states, covariances, mine.boxes[:, :2], noise)
+    tracks.states[hit], tracks.covariances[hit] = update(states, covariances, matched_detections.boxes[:, :2], noise)
     extents, variances = tracks.boxes[hit][:, _EXTENT], tracks.box_variances[hit]
     extents, tracks.box_variances[hit] = update_boxes(
-        extents, variances, mine.boxes[:, _EXTENT], np.array(motion.box_std)
+        extents, variances, matched_detections.boxes[:, _EXTENT], np.array(motion.box_std)
     )
     vx, vy = tracks.states[hit, 2], tracks.states[hit, 3]
     turns = np.round(wrapped(np.arctan2(vy, vx) - extents[:, 4]) / (np.pi / 2))
@@ -519,35 +517,35 @@ def _update(tracks: TrackTable, t_s: float, measured: Measured, matched: Numbers
     tracks.boxes[hit[:, None], _EXTENT] = extents
     tracks.boxes[:, :2] = tracks.states[:, :2]
     tracks.votes[hit] *= _KIND_KEPT
-    tracks.votes[hit, mine.kinds] += 1.0
+    tracks.votes[hit, matched_detections.kinds] += 1.0
     tracks.seen_s[hit] = t_s
     tracks.updates[hit] += 1
     tracks.misses[hit], tracks.standing[hit] = 0, 0.0
 
 
 def _spread_visible(tracks: TrackTable, view: View) -> F64:
-    """Return the probability (N,) that each track could be seen, over where it may be.
+    """Return the probability (N,) that each track could be seen, averaged over its position.
 
-    The unscented mean (Julier and Uhlmann, 1997) over five places: the mean weighs 1/3, the others, √3 standard
-    deviations along both axes of the covariance, 1/6 each. A track whose place is known is looked up at that place.
+    Unscented mean (Julier and Uhlmann, 1997) over five points: weight 1/3 for the mean, and 1/6 each for the points at
+    √3 standard deviations along both axes of the covariance. A track with a known position is sampled at its mean only.
     """
     covariances = tracks.covariances[:, :2, :2]
-    wide = np.flatnonzero(np.maximum(covariances[:, 0, 0], covariances[:, 1, 1]) > SPREAD_FROM_M**2)
-    if not len(wide):
+    uncertain = np.flatnonzero(np.maximum(covariances[:, 0, 0], covariances[:, 1, 1]) > SPREAD_FROM_M**2)
+    if not len(uncertain):
         return view.visible(tracks.boxes)
-    values, axes = np.linalg.eigh(covariances[wide])
+    values, axes = np.linalg.eigh(covariances[uncertain])
     steps = (np.sqrt(3.0 * np.maximum(values, 0.0))[:, None, :] * axes).transpose(0, 2, 1)  # (wide, axis, xy)
-    places = np.repeat(tracks.boxes[wide, None], 4, axis=1)
-    places[:, :2, :2] += steps
-    places[:, 2:, :2] -= steps
-    visible = view.visible(np.concatenate([tracks.boxes, places.reshape(-1, 7)]))
-    seen, around = visible[: len(tracks)].copy(), visible[len(tracks) :].reshape(-1, 4)
-    seen[wide] = seen[wide] / 3.0 + around.sum(axis=1) / 6.0
-    return seen
+    boxes = np.repeat(tracks.boxes[uncertain, None], 4, axis=1)
+    boxes[:, :2, :2] += steps
+    boxes[:, 2:, :2] -= steps
+    visible = view.visible(np.concatenate([tracks.boxes, boxes.reshape(-1, 7)]))
+    mean_visible, around = visible[: len(tracks)].copy(), visible[len(tracks) :].reshape(-1, 4)
+    mean_visible[uncertain] = mean_visible[uncertain] / 3.0 + around.sum(axis=1) / 6.0
+    return mean_visible
 
 
 def _densities(states: F64, covariances: F64, measured: Measured, motion: Motion) -> F64:
-    """Return the densities (2, M) per square meter of each track's detection, as a usual one and as an outlier."""
+    """Return the densities (2, M) per square meter of each track's detection, as an inlier and as an outlier."""
     off, noise = measured.boxes[:, :2] - states[:, :2], measured.noise
     densities = []
     for share, spread in ((1.0 - motion.outlier_share, noise), (motion.outlier_share, motion.outlier_noise(noise))):
@@ -558,7 +556,7 @@ def _densities(states: F64, covariances: F64, measured: Measured, motion: Motion
 
 
 def _shown(tracks: TrackTable, t_s: float, numbers: NDArray[np.intp], in_world: bool, notes: tuple[str, ...]) -> Tracks:
-    """Return a copy of the tracks for others; their detections by the numbers that these came with."""
+    """Return a read-only copy of the tracks; detections are indices into those given to the tracker."""
     arrays: dict[str, NDArray[Any]] = {name: np.array(getattr(tracks, name)) for name in TRACK_ROWS}
     arrays["detection"] = np.append(numbers, -1)[tracks.detection].astype(np.int32)
     for array in arrays.values():
