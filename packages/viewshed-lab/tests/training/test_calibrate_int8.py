@@ -74,13 +74,13 @@ def test_a_network_of_the_papers_label_is_checked_by_that_label_on_its_own_grid(
     made = replace(config, truth="paper_label", half_extent_m=40.0, attacks=("paper",), variant=variant)
     export_onnx(tmp_path / "net.onnx", made.card(), nearby(made.card().shape))
     checked: list[TrainingSample] = []
-    draw = module._draw
+    draw = module._samples
 
     def drawn(config: TrainConfig, count: int) -> Iterator[TrainingSample]:
         checked.extend(draw(config, count))
         return iter(checked)
 
-    monkeypatch.setattr(module, "_draw", drawn)
+    monkeypatch.setattr(module, "_samples", drawn)
     costs = quantize(made, tmp_path / "net.onnx", tmp_path / "bytes.onnx", 3)
     assert [each.passes for each in costs] == ([1, 10] if variant == "mcd" else [1])
     sweeps = archived_samples(replace(made, truth="probe", half_extent_m=32.0))
