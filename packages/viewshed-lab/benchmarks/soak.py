@@ -55,7 +55,7 @@ UNDER_WAY = 3
 LINES = 30
 """Number of lines of the log, for any duration."""
 
-RESTARTS, LEAST_S = 20, 10.0
+RESTARTS, MIN_S = 20, 10.0
 """Number of restarts, and minimum time between two of them."""
 
 WARM_SHARE, GROWTH = 0.2, 0.05
@@ -124,7 +124,7 @@ def main() -> None:
 _INTRO = f"""Sweeps are put in as fast as they are answered, {UNDER_WAY} under way at once; of all
 {MALFORMED_SHARE:.0%} are malformed, {CLOCK_SHARE:.1%} come with a clock that repeats, goes back or jumps, and
 {BURST_SHARE:.1%} as a burst of {BURST} at once, of which some must be dropped. Everything is ended and begun anew
-{RESTARTS} times, evenly spread (not sooner than after {LEAST_S:g} s). A soak is passed where each sweep is
+{RESTARTS} times, evenly spread (not sooner than after {MIN_S:g} s). A soak is passed where each sweep is
 accounted for, where no good sweep is refused and none answered that contradicts itself, where each reason is the
 one expected, where nothing crashes, and where memory after the first {WARM_SHARE:.0%} of the time stays within
 {GROWTH:.0%} of what it was there."""
@@ -215,7 +215,7 @@ def soak_pipeline(seconds: float, rng: np.random.Generator) -> Soaked:
 
 def period_s(seconds: float) -> float:
     """Return the seconds between restarts in a soak of ``seconds``."""
-    return max(seconds / (RESTARTS + 1), LEAST_S)
+    return max(seconds / (RESTARTS + 1), MIN_S)
 
 
 def _take(answers: list[Answer], taken: list[Latencies], answer: Answer) -> None:

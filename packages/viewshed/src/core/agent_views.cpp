@@ -13,9 +13,9 @@ namespace {
 
 constexpr double TURN = 2 * std::numbers::pi, INFINITE = std::numeric_limits<double>::infinity();
 
-// Lines of sight to a box, as fractions of its angular width; LEAST_SLOPE bounds the division for lines along a side.
+// Lines of sight to a box, as fractions of its angular width; MIN_SLOPE bounds the division for lines along a side.
 constexpr std::array<double, 5> SIGHTS{0.1, 0.3, 0.5, 0.7, 0.9};
-constexpr double LEAST_SLOPE = 1e-9;
+constexpr double MIN_SLOPE = 1e-9;
 
 // Different sides of one surface may lie a cell or two apart: deny it only if all cells within this distance are free.
 constexpr double AROUND_M = 1.0;
@@ -36,7 +36,7 @@ double wrapped(double angle) {
 
 // Return the range at which a line with `slope` comes within `half_m` of `middle_m`.
 double entry_m(double slope, double middle_m, double half_m) {
-    slope = std::fabs(slope) < LEAST_SLOPE ? LEAST_SLOPE : slope;
+    slope = std::fabs(slope) < MIN_SLOPE ? MIN_SLOPE : slope;
     return middle_m / slope - half_m / std::fabs(slope);
 }
 

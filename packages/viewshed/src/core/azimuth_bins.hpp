@@ -9,7 +9,7 @@
 namespace viewshed {
 
 // Largest number of bins that cell tables (int16) can hold.
-constexpr std::size_t MOST_BINS = 32767;
+constexpr std::size_t MAX_BINS = 32767;
 
 // Number of the narrowest bins for returns; every number of bins on the ladder divides it.
 constexpr std::size_t NARROWEST_BINS = 1080;

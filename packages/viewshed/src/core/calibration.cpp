@@ -264,7 +264,7 @@ MULTIVERSION void run_network(const float* __restrict feature, const float* __re
         Lanes in[CELL_FEATURES];
         for (std::size_t k = 0; k < CELL_FEATURES; ++k) {
             float standard[AT_ONCE];
-            for (std::size_t j = 0; j < AT_ONCE; ++j) standard[j] = standardized(feature[k * CELLS + n + j], k, MOST_DEVIATIONS);
+            for (std::size_t j = 0; j < AT_ONCE; ++j) standard[j] = standardized(feature[k * CELLS + n + j], k, MAX_DEVIATIONS);
             std::memcpy(&in[k], standard, sizeof(Lanes));
         }
         Lanes sum = Lanes{} + SECOND_BIAS[0];

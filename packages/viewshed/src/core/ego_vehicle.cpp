@@ -47,7 +47,7 @@ struct Block {
 
 // Rotate the points of a block and mark those near the sensor and above any ground.
 MULTIVERSION void turn_block(const float* points, std::size_t count, const float* rotation, Block& block) {
-    constexpr float far2 = float(EGO_LENGTH_M * EGO_LENGTH_M), lowest = float(-LEAST_EGO_HEIGHT_M);
+    constexpr float far2 = float(EGO_LENGTH_M * EGO_LENGTH_M), lowest = float(-MIN_EGO_HEIGHT_M);
     // Copy the rotation: the compiler cannot know that the loops do not write it.
     std::array<float, 9> r;
     std::copy_n(rotation, 9, r.begin());

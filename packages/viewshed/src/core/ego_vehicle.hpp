@@ -9,7 +9,7 @@ namespace viewshed {
 constexpr double EGO_LENGTH_M = 2.7, EGO_WIDTH_M = 1.1;
 
 // Sensor heights at which such a vehicle is assumed; lower sensors are on robots, higher ones at the roadside.
-constexpr double LEAST_EGO_HEIGHT_M = 1.2, MOST_EGO_HEIGHT_M = 3.0;
+constexpr double MIN_EGO_HEIGHT_M = 1.2, MAX_EGO_HEIGHT_M = 3.0;
 
 // Return the heading of the own vehicle in radians from the sensor's x axis, by points (N, 3) in the sensor's frame and
 // the rotation (3, 3) to a level frame: the axis of the returns near the sensor if they are a hood and a trunk across

@@ -14,7 +14,7 @@ namespace viewshed {
 namespace {
 
 // Limits of the number of clusters; fewer are no sensor, more are noise. Fewer returns show no clusters.
-constexpr std::size_t FEWEST_RINGS = 4, MOST_RINGS = 256, FEWEST_RETURNS = 256;
+constexpr std::size_t FEWEST_RINGS = 4, MAX_RINGS = 256, FEWEST_RETURNS = 256;
 
 // Bin widths of elevation histograms, in the sine: 0.01° and 0.1° at the horizon.
 constexpr double DEGREE = std::numbers::pi / 180;
@@ -148,7 +148,7 @@ std::optional<ElevationClusters> clusters_seen_from(Origin origin, const Directi
     double best_share = SHARPNESS;
     for (const int half_width : HALF_WIDTHS) {
         std::vector<double> elevation = find_peaks(counts, half_width, MIN_CLUSTER_SIZE);
-        if (elevation.size() < FEWEST_RINGS || elevation.size() > MOST_RINGS) continue;
+        if (elevation.size() < FEWEST_RINGS || elevation.size() > MAX_RINGS) continue;
         std::vector<double> origin_m;
         for (const double e : elevation) origin_m.push_back(origin.height_m - origin.radius_m * std::tan(e));
         const BeamTable table(std::move(elevation), std::move(origin_m), 0);

@@ -97,7 +97,7 @@ SplitBeams split_by_image(const BeamImage& beams, const SweepLevel& at, double t
 // Split the beams of a sweep by what is known of their depth; see viewshed.preprocess.no_return.beams_by_evidence.
 SplitBeams split_beams(const SweepInput& sweep, const UnleveledSweep& limits, const Identity& identity, const SweepLevel& at,
                        double top_m) {
-    const bool is_sure_of_height = sweep.height_m || at.ground.support >= LEAST_SUPPORT;
+    const bool is_sure_of_height = sweep.height_m || at.ground.support >= MIN_HEIGHT_SUPPORT;
     if (const auto ring = identity.ring(); ring && is_sure_of_height) {
         // 1. Use the range image if its pixels are beams: known elevations, and about one return per column in full
         // rings.

@@ -9,7 +9,7 @@
 namespace viewshed {
 
 // Largest number of rows and columns of a coded view.
-constexpr std::size_t MOST_CELLS = 512;
+constexpr std::size_t MAX_CELLS = 512;
 
 // Numbers of states, probability levels and deviation levels of a cell.
 constexpr int STATES = 4, LEVELS = 16, DEVIATIONS = 9;

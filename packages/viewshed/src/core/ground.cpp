@@ -15,7 +15,7 @@ namespace viewshed {
 namespace {
 
 // Sensor height if neither the sweep nor its returns give one. Otherwise it is a quantile of the nodes' depths, of at
-// least FEWEST_NODES nodes and at most MOST_HEIGHT_M.
+// least FEWEST_NODES nodes and at most MAX_HEIGHT_M.
 constexpr double ASSUMED_HEIGHT_M = 1.8, MAX_HEIGHT_M = 10.0, LOWEST_SHARE = 0.95;
 constexpr std::size_t FEWEST_NODES = 6;
 

@@ -66,11 +66,11 @@ Lattice make_lattice(std::size_t n, double half_m) {
 
 void require_lattice(std::size_t nodes, double half_m) {
     require(nodes >= 2 && nodes <= 1024, "a lattice must have 2 to 1024 nodes a side");
-    require(half_m >= 0.01 && half_m <= double(MOST_M), "half_m must lie in [0.01, 1e6] m");
+    require(half_m >= 0.01 && half_m <= double(MAX_M), "half_m must lie in [0.01, 1e6] m");
 }
 
 void require_bounded(View1<const float> values, const char* rule) {
-    for (const float value : values) require(std::fabs(value) <= MOST_M, rule);
+    for (const float value : values) require(std::fabs(value) <= MAX_M, rule);
 }
 
 std::shared_ptr<const Lattice> lattice_of(std::size_t nodes, double half_m) {

@@ -38,12 +38,12 @@ struct Lattice {
 std::shared_ptr<const Lattice> lattice_of(std::size_t nodes, double half_m);
 
 // Largest accepted length in meters: no sum or product overflows.
-constexpr float MOST_M = 1e6f;
+constexpr float MAX_M = 1e6f;
 
 // Throw std::invalid_argument unless the number of nodes and the extent are valid.
 void require_lattice(std::size_t nodes, double half_m);
 
-// Throw std::invalid_argument unless all values lie in [-MOST_M, MOST_M].
+// Throw std::invalid_argument unless all values lie in [-MAX_M, MAX_M].
 void require_bounded(View1<const float> values, const char* rule);
 
 // Return half the width of a node in sectors, at a range in nodes.

@@ -62,7 +62,7 @@ std::int32_t map_cell(float x, float y) {
 
 // Return the pixel of a direction, -1 outside.
 INLINE std::int32_t pixel_of(float azimuth, float slope) {
-    const float row = (slope - float(LEAST_SLOPE)) * float(ROWS / (MOST_SLOPE - LEAST_SLOPE));
+    const float row = (slope - float(MIN_SLOPE)) * float(ROWS / (MAX_SLOPE - MIN_SLOPE));
     float column = (azimuth + PI) * float(COLUMNS / (2 * std::numbers::pi));
     column = column > 0.0f ? column : 0.0f;
     column = column < float(COLUMNS - 1) ? column : float(COLUMNS - 1);
@@ -124,7 +124,7 @@ void fill_gaps(float* line, int size, std::size_t step, int gap, float narrow) {
 
 // Close the gaps between rings and between columns of an obstacle.
 void close_gaps(View2<float> image) {
-    constexpr double ROW_STEP = (MOST_SLOPE - LEAST_SLOPE) / ROWS, COLUMN_STEP = 2 * std::numbers::pi / COLUMNS;
+    constexpr double ROW_STEP = (MAX_SLOPE - MIN_SLOPE) / ROWS, COLUMN_STEP = 2 * std::numbers::pi / COLUMNS;
     for (std::size_t c = 0; c < COLUMNS; ++c) {
         fill_gaps(image[0] + c, int(ROWS), COLUMNS, GAP_ROWS, float(MAX_GAP_M / ROW_STEP));
     }
@@ -198,7 +198,7 @@ void sight_lines(View1<float> azimuth, View1<float> slope) {
             azimuth[r * columns + c] =
                 float((double(c * SIGHT_STEP) + 0.5) * (2 * std::numbers::pi / COLUMNS) - std::numbers::pi);
             slope[r * columns + c] =
-                float(LEAST_SLOPE + (double(r * SIGHT_STEP) + 0.5) * ((MOST_SLOPE - LEAST_SLOPE) / ROWS));
+                float(MIN_SLOPE + (double(r * SIGHT_STEP) + 0.5) * ((MAX_SLOPE - MIN_SLOPE) / ROWS));
         }
     }
 }

@@ -7,9 +7,9 @@
 
 namespace viewshed {
 
-// Image of obstacles: rows of 0.2° between LEAST_SLOPE and MOST_SLOPE (rise over range), azimuth columns of 0.25°.
+// Image of obstacles: rows of 0.2° between MIN_SLOPE and MAX_SLOPE (rise over range), azimuth columns of 0.25°.
 constexpr std::size_t SLOPE_ROWS = 320, AZIMUTHS = 1440;
-constexpr double LEAST_SLOPE = -0.75, MOST_SLOPE = 0.35;
+constexpr double MIN_SLOPE = -0.75, MAX_SLOPE = 0.35;
 
 // Lines of sight are sampled in every fourth row and column.
 constexpr std::size_t SIGHT_STEP = 4;

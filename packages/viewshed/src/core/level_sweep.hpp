@@ -15,7 +15,7 @@ namespace viewshed {
 constexpr double LEVEL_TILT = 6.0 * std::numbers::pi / 180.0;
 
 // Smallest share of the near ground on the fitted plane for which the estimated sensor height is trusted.
-constexpr double LEAST_SUPPORT = 0.4;
+constexpr double MIN_HEIGHT_SUPPORT = 0.4;
 
 // Rows of a rotation (3, 3).
 using Rotation = std::array<double, 9>;

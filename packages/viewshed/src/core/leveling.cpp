@@ -14,7 +14,7 @@ namespace viewshed {
 namespace {
 
 // Lower bound of the range in slopes.
-constexpr float LEAST_RANGE_M = 1e-3f;
+constexpr float MIN_RANGE_M = 1e-3f;
 
 // Fewest points for which a part pays for its thread.
 constexpr std::size_t PART = 16384;
@@ -134,7 +134,7 @@ MULTIVERSION void find_cells(const float* points, const float* height_m, std::si
 MULTIVERSION void slopes_of_block(const float* points, const float* range_m, std::size_t count, float sensor_height_m,
                                   float* slope) {
     for (std::size_t k = 0; k < count; ++k) {
-        const float range = range_m[k] > LEAST_RANGE_M ? range_m[k] : LEAST_RANGE_M;
+        const float range = range_m[k] > MIN_RANGE_M ? range_m[k] : MIN_RANGE_M;
         slope[k] = (points[3 * k + 2] - sensor_height_m) / range;
     }
 }
@@ -145,7 +145,7 @@ LevelPoints level_points(View2<const float> points, View1<const bool> clutter, V
                          float near_m, float far_m, double heading, const Ground& ground) {
     const std::size_t count = points.rows, blocks = (count + BLOCK - 1) / BLOCK;
     const float *transform = level_from_sensor.data, height_m = level_from_sensor(2, 3);
-    const bool has_ego = float(LEAST_EGO_HEIGHT_M) <= height_m && height_m <= float(MOST_EGO_HEIGHT_M);
+    const bool has_ego = float(MIN_EGO_HEIGHT_M) <= height_m && height_m <= float(MAX_EGO_HEIGHT_M);
     const Limits limits{near_m * near_m,
                         far_m * far_m,
                         has_ego ? float(EGO_LENGTH_M) : 0.0f,

@@ -32,7 +32,7 @@ MULTIVERSION void candidates_of_block(const float* points, const std::uint8_t* i
     const float zx = rule.rotation[6], zy = rule.rotation[7], zz = rule.rotation[8];
     const float near2 = rule.near2, far2 = rule.far2, half_m = rule.half_m, per_m = rule.nodes_per_m;
     const float cosine = rule.cosine, sine = rule.sine;
-    const float hood_x = float(EGO_LENGTH_M), hood_y = float(EGO_WIDTH_M), hood_z = -float(LEAST_EGO_HEIGHT_M);
+    const float hood_x = float(EGO_LENGTH_M), hood_y = float(EGO_WIDTH_M), hood_z = -float(MIN_EGO_HEIGHT_M);
     const std::int32_t side = rule.side;
     const float last = float(side);
     float px[BLOCK], py[BLOCK], pz[BLOCK];

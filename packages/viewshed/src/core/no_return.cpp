@@ -475,12 +475,12 @@ private:
     Shares share;
 };
 
-// Standardize features (FEATURES, AT_ONCE) and clip them to ±MOST_DEVIATIONS.
+// Standardize features (FEATURES, AT_ONCE) and clip them to ±MAX_DEVIATIONS.
 MULTIVERSION void standardize(const float* feature, float* out) {
     for (std::size_t k = 0; k < FEATURES; ++k) {
         for (std::size_t n = k * AT_ONCE; n < (k + 1) * AT_ONCE; ++n) {
-            const float value = (feature[n] - MEAN[k]) * SCALE[k], high = value < MOST_DEVIATIONS ? value : MOST_DEVIATIONS;
-            out[n] = high > -MOST_DEVIATIONS ? high : -MOST_DEVIATIONS;
+            const float value = (feature[n] - MEAN[k]) * SCALE[k], high = value < MAX_DEVIATIONS ? value : MAX_DEVIATIONS;
+            out[n] = high > -MAX_DEVIATIONS ? high : -MAX_DEVIATIONS;
         }
     }
 }

@@ -17,7 +17,7 @@ constexpr float LOW_M = 0.3f, HIGH_M = 3.0f, OVERHEAD_M = 8.0f;
 // Cells in which returns are pooled: cell size, half the side of the grid, cells a side, and most cells used.
 constexpr float CELL_M = 0.2f, HALF_EXTENT_M = 80.0f;
 constexpr int CELLS = 800;
-constexpr std::size_t MOST_CELLS = 40'000;
+constexpr std::size_t MAX_CELLS = 40'000;
 
 // Linking distance of each level: at range 0, and more per meter of range.
 constexpr std::size_t LEVELS = 4;
@@ -26,7 +26,7 @@ constexpr std::array<float, LEVELS> GAP_M{0.3f, 0.45f, 0.7f, 1.0f}, GAP_PER_M{0.
 // Limits of a candidate's returns and side length, and of the number of candidates.
 constexpr std::int32_t FEWEST_RETURNS = 4;
 constexpr float LONGEST_M = 20.0f;
-constexpr std::size_t MOST_CANDIDATES = 2'000;
+constexpr std::size_t MAX_CANDIDATES = 2'000;
 
 // Most returns used to fit the heading, and to compute the shape.
 constexpr std::size_t FIT_RETURNS = 64, SHAPE_RETURNS = 256;
@@ -112,7 +112,7 @@ std::vector<Cell> cells_of(View2<const float> points, View1<const float> height_
         ++standing;
     }
     // 2. Keep the nearest cells if there are too many, by whole meters of range.
-    if (cells.size() > MOST_CELLS) {
+    if (cells.size() > MAX_CELLS) {
         std::array<std::size_t, std::size_t(2 * HALF_EXTENT_M)> within{};
         const auto ring_of = [](const Cell& cell) {
             const float x = float(cell.at / CELLS) * CELL_M - HALF_EXTENT_M, y = float(cell.at % CELLS) * CELL_M - HALF_EXTENT_M;
@@ -120,7 +120,7 @@ std::vector<Cell> cells_of(View2<const float> points, View1<const float> height_
         };
         for (const Cell& cell : cells) ++within[ring_of(cell)];
         std::size_t rings = 0, total = 0;
-        while (rings < within.size() && total + within[rings] <= MOST_CELLS) total += within[rings++];
+        while (rings < within.size() && total + within[rings] <= MAX_CELLS) total += within[rings++];
         std::vector<std::int32_t> kept(cells.size(), -1);
         std::size_t next = 0;
         for (std::size_t k = 0; k < cells.size(); ++k) {
@@ -495,12 +495,12 @@ Candidates find_candidates(View2<const float> points, View1<const float> height_
         }
         if (std::hypot(x.length(), y.length()) <= LONGEST_M) kept.push_back(std::int32_t(k));
     }
-    if (kept.size() > MOST_CANDIDATES) {
+    if (kept.size() > MAX_CANDIDATES) {
         const auto more = [&](std::int32_t a, std::int32_t b) {
             return spans[a].returns != spans[b].returns ? spans[a].returns > spans[b].returns : a < b;
         };
-        std::nth_element(kept.begin(), kept.begin() + MOST_CANDIDATES, kept.end(), more);
-        kept.resize(MOST_CANDIDATES);
+        std::nth_element(kept.begin(), kept.begin() + MAX_CANDIDATES, kept.end(), more);
+        kept.resize(MAX_CANDIDATES);
         std::sort(kept.begin(), kept.end());
     }
     std::vector<std::int32_t> place(spans.size(), -1);

@@ -37,7 +37,7 @@ struct Candidates {
 //
 // Returns are pooled in cells. Cells are linked at LEVELS distances that grow with range, and linked cells form
 // components. A component is a candidate if it is larger than its parts at the next smaller distance. At most
-// MOST_CELLS cells (the nearest) and MOST_CANDIDATES candidates (those with most returns) are used.
+// MAX_CELLS cells (the nearest) and MAX_CANDIDATES candidates (those with most returns) are used.
 Candidates find_candidates(View2<const float> points, View1<const float> height_m, View1<const float> range_m,
                            float sensor_height_m);
 

@@ -21,12 +21,12 @@ struct BitModel {
 namespace coder {
 
 // After this number of decisions a model adapts at a constant rate.
-constexpr std::uint16_t MOST_SEEN = 24;
+constexpr std::uint16_t MAX_SEEN = 24;
 
 // Adaptation rate in units of 2^-16, by the number of decisions seen.
 constexpr auto RATE = [] {
-    std::array<std::int32_t, MOST_SEEN + 1> rate{};
-    for (int seen = 0; seen <= MOST_SEEN; ++seen) rate[seen] = std::int32_t(65536.0 / (seen + 2.5));
+    std::array<std::int32_t, MAX_SEEN + 1> rate{};
+    for (int seen = 0; seen <= MAX_SEEN; ++seen) rate[seen] = std::int32_t(65536.0 / (seen + 2.5));
     return rate;
 }();
 
@@ -36,11 +36,11 @@ constexpr std::int32_t SMALLEST = 32;
 INLINE void learn(BitModel& model, bool bit) {
     const std::int32_t target = bit ? 65536 - SMALLEST : SMALLEST;
     model.probability = std::uint16_t(model.probability + (((target - model.probability) * RATE[model.seen]) >> 16));
-    model.seen = std::uint16_t(model.seen + (model.seen < MOST_SEEN));
+    model.seen = std::uint16_t(model.seen + (model.seen < MAX_SEEN));
 }
 
 // The range stays above this; data moves in 32-bit words.
-constexpr std::uint64_t LEAST_RANGE = 1ull << 32;
+constexpr std::uint64_t MIN_RANGE = 1ull << 32;
 
 // Return the number in [low, low + range), modulo 2^64, with the most trailing zeros: it ends a code.
 inline std::uint64_t shortest(std::uint64_t low, std::uint64_t range) {
@@ -94,7 +94,7 @@ private:
             if (low_ < bound) carry();
             range_ -= bound;
         }
-        if (range_ < coder::LEAST_RANGE) {
+        if (range_ < coder::MIN_RANGE) {
             push();
             range_ <<= 32;
         }
@@ -161,7 +161,7 @@ private:
     INLINE void narrow(bool value, std::uint64_t bound) {
         range_ = value ? bound : range_ - bound;
         value_ -= value ? 0 : bound;
-        if (range_ < coder::LEAST_RANGE) {
+        if (range_ < coder::MIN_RANGE) {
             value_ = value_ << 32 | next();
             range_ <<= 32;
         }

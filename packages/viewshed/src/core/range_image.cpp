@@ -25,7 +25,7 @@ constexpr double FULL_RING = 0.9, FULLEST_RING = 1.05;
 constexpr int PHASES = 16;
 
 // Size limits of an image.
-constexpr std::size_t MOST_RINGS = 4096, MOST_COLUMNS = 65536;
+constexpr std::size_t MAX_RINGS = 4096, MAX_COLUMNS = 65536;
 
 // Fewest points for which a part pays for its thread.
 constexpr std::size_t PART = 8192;
@@ -230,8 +230,8 @@ void take_out(View1<const std::int16_t> ring, View1<const bool> left_out, View1<
 }
 
 void require_image(std::size_t rings, std::size_t columns) {
-    require(rings >= 1 && rings <= MOST_RINGS, "an image must have 1 to 4096 rings");
-    require(columns >= 1 && columns <= MOST_COLUMNS, "an image must have 1 to 65536 columns");
+    require(rings >= 1 && rings <= MAX_RINGS, "an image must have 1 to 4096 rings");
+    require(columns >= 1 && columns <= MAX_COLUMNS, "an image must have 1 to 65536 columns");
 }
 
 }  // namespace viewshed

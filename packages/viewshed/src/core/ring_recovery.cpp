@@ -28,7 +28,7 @@ constexpr float BACKWARD = 0.003f;
 constexpr double MAX_BACKWARD = 0.03;
 
 // Limits of the number of rings; more than that are noise.
-constexpr std::size_t FEWEST_RINGS = 4, MOST_RINGS = 4096;
+constexpr std::size_t FEWEST_RINGS = 4, MAX_RINGS = 4096;
 
 // First and last rings smaller than this share of the average ring are merged into their neighbor.
 constexpr double STRAY_RING = 0.01;
@@ -59,8 +59,8 @@ constexpr std::size_t DEFAULT_COLUMNS = 1024, PSEUDO_RINGS = 64;
 
 // Columns are measured in the fullest rings, by gaps between 3 and 300 bins of 0.01°; FEWEST_GAPS are required.
 constexpr std::size_t SAMPLED_RINGS = 6, FEWEST_GAPS = 16;
-constexpr double GAP_BIN = 0.01 * std::numbers::pi / 180, LEAST_BINS = 3, MOST_BINS = 300;
-constexpr long FEWEST_COLUMNS = 4, MOST_COLUMNS = 36'000;
+constexpr double GAP_BIN = 0.01 * std::numbers::pi / 180, MIN_BINS = 3, MAX_BINS = 300;
+constexpr long FEWEST_COLUMNS = 4, MAX_COLUMNS = 36'000;
 
 // A step within 5 % of the model's is accepted. Irregular firing has gaps over 1.3 steps, over 90 % of the angle.
 constexpr double STEP_KNOWN = 0.05, IRREGULAR = 1.3, COVERED = 0.9;
@@ -158,7 +158,7 @@ Order order_rings(View2<const float> points, float start, float sense) {
             } else {
                 continue;
             }
-            if (wraps >= std::int32_t(MOST_RINGS)) return {};
+            if (wraps >= std::int32_t(MAX_RINGS)) return {};
             runs.push_back({n, wraps});
         }
     }
@@ -308,11 +308,11 @@ Rings elevation_bins(const Directions& directions, const BeamTable* table) {
 // empty between firings, unless the model's step is within 5 %.
 double firing_step(std::vector<double> own, std::vector<double> pooled, const BeamTable* table) {
     for (std::vector<double>* gaps : {&own, &pooled}) {
-        std::erase_if(*gaps, [](double gap) { return !(gap > LEAST_BINS * GAP_BIN && gap < MOST_BINS * GAP_BIN); });
+        std::erase_if(*gaps, [](double gap) { return !(gap > MIN_BINS * GAP_BIN && gap < MAX_BINS * GAP_BIN); });
     }
     if (own.size() < FEWEST_GAPS) return UNKNOWN;
     // 1. Find the most frequent gap, and the mean of similar gaps.
-    std::array<int, std::size_t(MOST_BINS) + 3> counts{};
+    std::array<int, std::size_t(MAX_BINS) + 3> counts{};
     for (const double gap : own) ++counts[std::size_t(gap / GAP_BIN) + 1];
     std::size_t peak = 1;
     const auto around = [&](std::size_t b) { return counts[b - 1] + counts[b] + counts[b + 1]; };
@@ -374,7 +374,7 @@ std::size_t measure_columns(const Directions& directions, const Rings& rings, Ri
     add_gaps(all, pooled);
     const double step = firing_step(std::move(own), std::move(pooled), table);
     if (!(step > 0.0)) return fallback;
-    return std::size_t(std::clamp(std::lrint(2 * std::numbers::pi / step), FEWEST_COLUMNS, MOST_COLUMNS));
+    return std::size_t(std::clamp(std::lrint(2 * std::numbers::pi / step), FEWEST_COLUMNS, MAX_COLUMNS));
 }
 
 // Return the median elevations (rings,); the table's, or interpolated, for rings without a return beyond 1 m.

@@ -43,7 +43,7 @@ constexpr double MIN_RING_SHARE = 0.5, MAX_CLUSTER_SHARE = 1.15;
 // ... and required share of rings at consecutive beams: every second beam of a table is another sensor.
 constexpr double NEXT_BEAM = 0.8;
 
-// Without rings: required share HIT of beams that are hit, each by at least LEAST_HITS returns.
+// Without rings: required share HIT of beams that are hit, each by at least MIN_HITS returns.
 constexpr double HIT = 0.9, MIN_HITS = 2.0, HIT_SHARE = 0.02;
 
 // Clusters that explain this share of the returns are the sensor's beams, even against a table.

@@ -93,13 +93,13 @@ MULTIVERSION void place_elevations(const float* x, const float* y, const float* 
 // Return the concentration of the elevations of the first `count` returns with a motion undone: the histogram's sum of
 // squares.
 std::int64_t concentration(const Returns& returns, std::size_t count, const Vector& shift_m, double bin_sine) {
-    constexpr auto MOST_BINS = std::size_t(2.0 / FINEST_BIN) + 1;
+    constexpr auto MAX_BINS = std::size_t(2.0 / FINEST_BIN) + 1;
     const auto bins = std::size_t(2.0 / bin_sine) + 1;
     const std::array<float, 3> shift{float(shift_m[0]), float(shift_m[1]), float(shift_m[2])};
     std::int32_t position[SAMPLE];
     place_elevations(returns.x.data(), returns.y.data(), returns.z.data(), returns.turn.data(), count, shift.data(),
                      float(0.5 * double(bins - 1)), float(bins - 1), position);
-    std::uint16_t counts[MOST_BINS];
+    std::uint16_t counts[MAX_BINS];
     std::fill_n(counts, bins, std::uint16_t{0});
     std::int64_t squares = 0;
     for (std::size_t k = 0; k < count; ++k) squares += 2 * counts[position[k]]++ + 1;  // (n + 1)² - n²

@@ -10,9 +10,6 @@
 namespace viewshed {
 namespace {
 
-// Standardized shapes are clipped to this, so that an unseen one does not dominate.
-constexpr float MAX_DEVIATIONS = 6.0f;
-
 // Fewest candidates for which a part pays for its thread.
 constexpr std::size_t PART = 128;
 
@@ -34,7 +31,7 @@ MULTIVERSION void apply(const float* in, const Layer& layer, bool is_hidden, flo
 void classify_shapes(View2<const float> shapes, const ShapeNetwork& network, View1<float> prob) {
     const std::size_t count = shapes.rows, inputs = shapes.columns, classes = network.layers[2].bias.size;
     for_ranges(count, count_parts(count, PART), [&](std::size_t, std::size_t begin, std::size_t end) {
-        std::array<float, MOST_UNITS> one, other;
+        std::array<float, MAX_UNITS> one, other;
         for (std::size_t n = begin; n < end; ++n) {
             const float* row = shapes[n];
             for (std::size_t k = 0; k < inputs; ++k) {

@@ -8,7 +8,7 @@
 namespace viewshed {
 
 // Largest number of units of a layer.
-constexpr std::size_t MOST_UNITS = 128;
+constexpr std::size_t MAX_UNITS = 128;
 
 struct Layer {
     View2<const float> weights;  // (in, out)
@@ -20,7 +20,7 @@ struct ShapeNetwork {
     const std::array<Layer, 3>& layers;
 };
 
-// Write the class probabilities (C, classes) of shapes (C, S). Layers have at most MOST_UNITS units.
+// Write the class probabilities (C, classes) of shapes (C, S). Layers have at most MAX_UNITS units.
 void classify_shapes(View2<const float> shapes, const ShapeNetwork& network, View1<float> prob);
 
 }  // namespace viewshed

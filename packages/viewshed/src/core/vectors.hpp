@@ -23,10 +23,11 @@ constexpr float PI = std::numbers::pi_v<float>;
 // Points of a block: columns of this length stay in the L1 cache.
 constexpr std::size_t BLOCK = 1024;
 
-// Inputs that pass through a small network at once. Features are clipped to this many standard deviations.
+// Inputs that pass through a small network at once. Features are clipped to this many standard deviations, so that an
+// unseen one does not dominate.
 constexpr std::size_t AT_ONCE = 16;
 typedef float Lanes __attribute__((vector_size(AT_ONCE * sizeof(float))));
-constexpr float MOST_DEVIATIONS = 6.0f;
+constexpr float MAX_DEVIATIONS = 6.0f;
 
 // Return the azimuth of (x, y) in [-π, π) radians, within 2e-5; 0 at the origin. An odd minimax polynomial of degree 11
 // on [0, 1].

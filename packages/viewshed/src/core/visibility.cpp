@@ -25,7 +25,7 @@ constexpr float SLOPE_LIMIT = 1.0f, PER_SLOPE = float(SLOPE_BINS / (2 * SLOPE_LI
 constexpr std::size_t VECTOR = 16;
 
 // Cells must be nearer than this many cell sizes.
-constexpr double MOST_RANGE_BINS = 1e6;
+constexpr double MAX_RANGE_BINS = 1e6;
 
 // Fewest beams for which a part pays for its thread; fewest beams and cells for which a sweep does.
 constexpr std::size_t PART = 8192, WORTH = 32768;
@@ -408,7 +408,7 @@ CellWindows::CellWindows(View2<const float> range, View2<const float> azimuth_, 
     constexpr double PER_RAD = AZIMUTH_COLUMNS / (2 * std::numbers::pi);
     float farthest_m = 0.0f;
     for (const float r : cell_range_m) farthest_m = std::max(farthest_m, r);
-    require(double(farthest_m) / cell_m_ < MOST_RANGE_BINS, "cells must lie within a million sides of a cell");
+    require(double(farthest_m) / cell_m_ < MAX_RANGE_BINS, "cells must lie within a million sides of a cell");
     bins = std::size_t(std::ceil(double(farthest_m) / cell_m_)) + 1;
     stride = (bins + VECTOR - 1) / VECTOR * VECTOR;
     // Centers of the range bins, and half of the target's width there in columns.

@@ -133,11 +133,11 @@ def test_detections_have_the_published_noise() -> None:
 
 FOUND = 0.5
 
-MOST_MISSES = 6
+MAX_MISSES = 6
 
 SUREST = 0.999
 
-LAST = (1 - FOUND) ** MOST_MISSES * SUREST / ((1 - FOUND) ** MOST_MISSES * SUREST + 1 - SUREST)
+LAST = (1 - FOUND) ** MAX_MISSES * SUREST / ((1 - FOUND) ** MAX_MISSES * SUREST + 1 - SUREST)
 
 NEXT = (1 - FOUND) * LAST / ((1 - FOUND) * LAST + 1 - LAST)
 
@@ -147,7 +147,7 @@ AS_PUBLISHED: dict[str, Rules] = {
         lifetime_s=np.inf, surest=SUREST, drop_below=(LAST + NEXT) / 2, lost_m=np.inf, spreads=False,
     ),
     "published": PublishedRules(
-        cost="center", radius_m=8.0, coast_s=np.inf, most_misses=MOST_MISSES, repairs_empty_view=True
+        cost="center", radius_m=8.0, coast_s=np.inf, most_misses=MAX_MISSES, repairs_empty_view=True
     ),
 }  # fmt: skip
 

@@ -7,12 +7,12 @@
 namespace viewshed {
 namespace {
 
-constexpr std::size_t MOST_SIDE = 16384;
+constexpr std::size_t MAX_SIDE = 16384;
 
 // Check and view the cells of a square field of view.
 template <typename T>
 ViewCells<T> cells_of(const In2<T>& values, double x_m, double y_m, double cell_m) {
-    require(values.shape(0) == values.shape(1) && values.shape(0) >= 1 && values.shape(0) <= MOST_SIDE,
+    require(values.shape(0) == values.shape(1) && values.shape(0) >= 1 && values.shape(0) <= MAX_SIDE,
             "cells of a view must be a square, of at most 16384 a side");
     require(std::isfinite(x_m) && std::isfinite(y_m), "the corner of a view must be finite");
     require(std::isfinite(cell_m) && cell_m > 0, "cell_m must be positive and finite");
@@ -20,7 +20,7 @@ ViewCells<T> cells_of(const In2<T>& values, double x_m, double y_m, double cell_
 }
 
 void require_map(std::size_t rows, std::size_t columns, double cell_m) {
-    require(columns == rows && rows >= 1 && rows <= MOST_SIDE && (rows & (rows - 1)) == 0,
+    require(columns == rows && rows >= 1 && rows <= MAX_SIDE && (rows & (rows - 1)) == 0,
             "seen_by must be a square of a power of two, at most 16384");
     require(std::isfinite(cell_m) && cell_m > 0, "cell_m must be positive and finite");
 }
@@ -108,7 +108,7 @@ void bind_agent_views(nb::module_& m) {
            std::int32_t own, std::int32_t agents, In2<double> blockers, bool from_above, double nearest_m, double farthest_m,
            double same_ground_m) {
             const std::size_t nodes = heights_m.shape(0);
-            require(nodes >= 2 && nodes <= MOST_SIDE && heights_m.shape(1) == nodes, "heights_m must be a square");
+            require(nodes >= 2 && nodes <= MAX_SIDE && heights_m.shape(1) == nodes, "heights_m must be a square");
             require(std::isfinite(half_extent_m) && half_extent_m > 0, "half_extent_m must be positive and finite");
             require(places_m.shape(1) == 2 && blockers.shape(1) == 2, "places_m and blockers must have two columns");
             require(are_as_long(owner, places_m, ground_m, is_free), "places_m, ground_m, owner and is_free must be as long");

@@ -7,7 +7,7 @@ namespace viewshed {
 namespace {
 
 void require_view(std::size_t cells, std::size_t row, std::size_t column) {
-    require(cells >= 1 && cells <= MOST_CELLS, "cells must lie in [1, 512]");
+    require(cells >= 1 && cells <= MAX_CELLS, "cells must lie in [1, 512]");
     require(row < cells && column < cells, "the sensor's row and column must lie on the grid");
 }
 

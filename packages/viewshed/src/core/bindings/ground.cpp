@@ -43,7 +43,7 @@ Lows lows_of(const In3<float>& points, const In2<float>& rise_m, double half_m) 
         lows.rise_m[at] = rise_m.data()[at];
         lows.x_m[at] = lows.y_m[at] = 0.0f;
         if (!std::isfinite(z)) continue;
-        require(std::fabs(double(x)) <= reach_m && std::fabs(double(y)) <= reach_m && std::fabs(z) <= MOST_M,
+        require(std::fabs(double(x)) <= reach_m && std::fabs(double(y)) <= reach_m && std::fabs(z) <= MAX_M,
                 "lows_m must lie on the lattice");
         lows.x_m[at] = x;
         lows.y_m[at] = y;
@@ -74,7 +74,7 @@ void bind_ground(nb::module_& m) {
             require_lattice(n, half_m);
             const Plane carrier = plane_of(plane);
             for (std::size_t at = 0; at < n * n; ++at) {
-                require(!accepted.data()[at] || std::fabs(walked_m.data()[at]) <= MOST_M, "walked_m must be finite");
+                require(!accepted.data()[at] || std::fabs(walked_m.data()[at]) <= MAX_M, "walked_m must be finite");
             }
             Buffer<float> heights_m(n * n), std_m(n * n);
             without_lock([&] {

@@ -31,7 +31,7 @@ void bind_held_ground(nb::module_& m) {
             require_bounded(view(before_from_now).flat(), "before_from_now must be finite");
             require_bounded(view(now_from_before), "now_from_before must be finite");
             require_bounded({plane.data(), 3}, "plane must be finite");
-            require(std::fabs(height_m) <= MOST_M, "height_m must be finite");
+            require(std::fabs(height_m) <= MAX_M, "height_m must be finite");
             HeldPoses poses;
             std::copy_n(before_from_now.data(), 8, &poses.before_from_now[0][0]);
             std::copy_n(now_from_before.data(), 4, poses.now_from_before);

@@ -14,7 +14,7 @@ namespace viewshed {
 
 void bind_level_sweep(nb::module_& m) {
     m.attr("LEVEL_TILT") = LEVEL_TILT;
-    m.attr("LEAST_SUPPORT") = LEAST_SUPPORT;
+    m.attr("MIN_HEIGHT_SUPPORT") = MIN_HEIGHT_SUPPORT;
     m.def(
         "farthest_returns",
         [](Points points, std::optional<In1<std::int16_t>> ring) {
@@ -35,7 +35,7 @@ void bind_level_sweep(nb::module_& m) {
            float far_m, std::optional<RotationArray> attitude, std::optional<double> height_m, std::optional<double> yaw,
            double half_extent_m) {
             require(points.shape(0) < (std::size_t{1} << 31), "a sweep must have fewer than 2^31 points");
-            require(far_m <= MOST_M, "far_m must be at most 1e6 m");
+            require(far_m <= MAX_M, "far_m must be at most 1e6 m");
             require(!height_m || std::isfinite(*height_m), "height_m must be finite");
             require(!yaw || std::isfinite(*yaw), "yaw must be finite");
             require_lattice(2, half_extent_m);
@@ -49,7 +49,7 @@ void bind_level_sweep(nb::module_& m) {
             }
             if (attitude) {
                 std::copy_n(attitude->data(), 9, sweep.attitude.emplace().begin());
-                const auto is_bounded = [](double value) { return std::fabs(value) <= MOST_M; };
+                const auto is_bounded = [](double value) { return std::fabs(value) <= MAX_M; };
                 require(std::all_of(sweep.attitude->begin(), sweep.attitude->end(), is_bounded), "attitude must be finite");
             }
             auto made = without_lock([&] { return level_sweep(sweep); });

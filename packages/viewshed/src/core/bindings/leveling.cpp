@@ -18,8 +18,8 @@ LevelArrays level_arrays(LevelPoints&& level) {
 void bind_leveling(nb::module_& m) {
     m.attr("EGO_LENGTH_M") = EGO_LENGTH_M;
     m.attr("EGO_WIDTH_M") = EGO_WIDTH_M;
-    m.attr("LEAST_EGO_HEIGHT_M") = LEAST_EGO_HEIGHT_M;
-    m.attr("MOST_EGO_HEIGHT_M") = MOST_EGO_HEIGHT_M;
+    m.attr("MIN_EGO_HEIGHT_M") = MIN_EGO_HEIGHT_M;
+    m.attr("MAX_EGO_HEIGHT_M") = MAX_EGO_HEIGHT_M;
     using Rotation = nb::ndarray<const float, nb::shape<3, 3>, nb::c_contig, nb::device::cpu>;
     using Transform = nb::ndarray<const float, nb::shape<3, 4>, nb::c_contig, nb::device::cpu>;
     m.def(

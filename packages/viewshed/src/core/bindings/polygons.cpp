@@ -13,11 +13,11 @@
 namespace viewshed {
 namespace {
 
-constexpr std::size_t MOST_CELLS = 4096, MOST_BINS = 7200, MOST_SECTORS = 256;
+constexpr std::size_t MAX_CELLS = 4096, MAX_BINS = 7200, MAX_SECTORS = 256;
 constexpr double FARTHEST_M = 1e9;
 
 void require_square(std::size_t rows, std::size_t columns) {
-    require(rows == columns && rows >= 1 && rows <= MOST_CELLS, "a mask must be square, of 1 to 4096 cells a side");
+    require(rows == columns && rows >= 1 && rows <= MAX_CELLS, "a mask must be square, of 1 to 4096 cells a side");
 }
 
 // Check and copy the starts (R + 1,) of closed rings of points (V, 2).
@@ -33,7 +33,7 @@ Buffer<std::int64_t> checked_begin(const In2<double>& points, const In1<std::int
 // Return the cells that a function of closed rings marks.
 template <typename Mark>
 Out<bool> cells_of(const In2<double>& points, const In1<std::int64_t>& begin, std::size_t cells, Mark mark) {
-    require(cells >= 1 && cells <= MOST_CELLS, "cells must lie in [1, 4096]");
+    require(cells >= 1 && cells <= MAX_CELLS, "cells must lie in [1, 4096]");
     const Buffer<std::int64_t> from = checked_begin(points, begin);
     Buffer<bool> marked(cells * cells);
     without_lock([&] { mark({view(points), from}, marked.view(cells, cells)); });
@@ -43,7 +43,7 @@ Out<bool> cells_of(const In2<double>& points, const In1<std::int64_t>& begin, st
 // Check and copy ranges of wedges.
 Buffer<double> checked_ranges(const In1<double>& ranges) {
     Buffer<double> values = copy_of(view(ranges));
-    require(values.size() >= 3 && values.size() <= MOST_BINS, "there must be 3 to 7200 ranges");
+    require(values.size() >= 3 && values.size() <= MAX_BINS, "there must be 3 to 7200 ranges");
     for (const double value : values) require(value >= 0.0 && std::isfinite(value), "ranges must be finite, and not negative");
     return values;
 }
@@ -105,7 +105,7 @@ void bind_polygons(nb::module_& m) {
         "best_sectors",
         [](In1<double> ranges, std::size_t sectors, double inner) {
             const Buffer<double> checked = checked_ranges(ranges);
-            require(sectors >= 1 && sectors <= MOST_SECTORS, "sectors must lie in [1, 256]");
+            require(sectors >= 1 && sectors <= MAX_SECTORS, "sectors must lie in [1, 256]");
             require(inner >= 0.0 && std::isfinite(inner), "inner must be finite, and not negative");
             const BestSectors found = without_lock([&] { return best_sectors(checked, sectors, inner); });
             return tuple_of(array_of(found.first), array_of(found.end), array_of(found.range));
@@ -121,7 +121,7 @@ void bind_polygons(nb::module_& m) {
             require(is_near(x_m) && is_near(y_m) && cell_m > 0.0 && is_near(cell_m), "a grid must lie within 1e9 m");
             require(is_near(apex_x_m) && is_near(apex_y_m), "apex must lie within 1e9 m");
             require(half_m > 0.0 && is_near(half_m), "half_m must lie in (0, 1e9]");
-            require(bins >= 4 && bins <= MOST_BINS, "bins must lie in [4, 7200]");
+            require(bins >= 4 && bins <= MAX_BINS, "bins must lie in [4, 7200]");
             Buffer<double> ranges(bins);
             without_lock([&] {
                 find_free_ranges(view(mask), {x_m, y_m, cell_m, mask.shape(0)}, {apex_x_m, apex_y_m}, half_m, is_solid,

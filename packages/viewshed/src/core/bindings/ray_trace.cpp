@@ -18,7 +18,7 @@ LeveledReturns returns_of(const In1<float>& azimuth, const In1<float>& range_m, 
 
 namespace {
 
-void require_bins(std::size_t bins) { require(bins >= 1 && bins <= MOST_BINS, "bins must lie in [1, 32767]"); }
+void require_bins(std::size_t bins) { require(bins >= 1 && bins <= MAX_BINS, "bins must lie in [1, 32767]"); }
 
 }  // namespace
 

@@ -13,15 +13,15 @@ namespace {
 using RingColumn = In1<std::int16_t>;
 
 // Limits of arguments: beams of a table, columns of a revolution, and elevations in radians.
-constexpr std::size_t MOST_RINGS = 4096;
-constexpr std::int64_t MOST_COLUMNS = 65'536;
+constexpr std::size_t MAX_RINGS = 4096;
+constexpr std::int64_t MAX_COLUMNS = 65'536;
 constexpr double HIGHEST = std::numbers::pi / 2;
 
 // Check and copy a ring column, if given.
 std::optional<Buffer<std::int16_t>> checked_rings(const std::optional<RingColumn>& ring, std::size_t count) {
     if (!ring) return std::nullopt;
     require(ring->shape(0) == count, "ring must have one row for each point");
-    return indices_of<std::int16_t>(view(*ring), -1, MOST_RINGS - 1, "ring");
+    return indices_of<std::int16_t>(view(*ring), -1, MAX_RINGS - 1, "ring");
 }
 
 // A copy of points: another thread may write the caller's array, and a sort of changing values runs out of bounds.
@@ -53,11 +53,11 @@ Directions directions_from(const In1<float>& azimuth, const In1<float>& slope, c
 
 // Check and copy the beams of a sensor.
 BeamTable checked_table(View1<const double> given_elevation, View1<const double> given_origin_m, std::int64_t columns) {
-    require(given_elevation.size >= 1 && given_elevation.size <= MOST_RINGS, "a table must have 1 to 4096 beams");
+    require(given_elevation.size >= 1 && given_elevation.size <= MAX_RINGS, "a table must have 1 to 4096 beams");
     require(given_origin_m.size == given_elevation.size, "origin_m must have one value for each beam");
     std::vector<double> elevation(given_elevation.begin(), given_elevation.end());
     std::vector<double> origin_m(given_origin_m.begin(), given_origin_m.end());
-    require(columns >= 1 && columns <= MOST_COLUMNS, "columns must lie in [1, 65536]");
+    require(columns >= 1 && columns <= MAX_COLUMNS, "columns must lie in [1, 65536]");
     const auto is_wrong = [](double value) { return !std::isfinite(value); };
     require(std::none_of(elevation.begin(), elevation.end(), is_wrong) &&
                 std::none_of(origin_m.begin(), origin_m.end(), is_wrong),

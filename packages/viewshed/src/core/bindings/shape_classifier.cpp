@@ -19,9 +19,9 @@ void bind_shape_classifier(nb::module_& m) {
             for (const Layer& layer : layers) {
                 require(layer.weights.rows == size && layer.weights.columns == layer.bias.size, "layers must fit each other");
                 size = layer.bias.size;
-                require(size > 0 && size <= MOST_UNITS, "a layer must have 1 to 128 units");
+                require(size > 0 && size <= MAX_UNITS, "a layer must have 1 to 128 units");
             }
-            require(inputs <= MOST_UNITS, "shapes must have at most 128 columns");
+            require(inputs <= MAX_UNITS, "shapes must have at most 128 columns");
             Buffer<float> prob(count * classes);
             without_lock([&] { classify_shapes(view(shapes), {view(mean), view(scale), layers}, prob); });
             return array(std::move(prob), {count, classes});

@@ -34,7 +34,7 @@ LEVEL_TILT = _core.LEVEL_TILT
 EGO_BOX_M = _core.EGO_LENGTH_M, _core.EGO_WIDTH_M
 """Half length and half width of the vehicle below a sensor 1.2 to 3 m high; returns within are dropped."""
 
-MIN_SUPPORT = _core.LEAST_SUPPORT
+MIN_SUPPORT = _core.MIN_HEIGHT_SUPPORT
 """Minimum share of the near ground on the ground plane for a reliable estimate of the sensor's height."""
 
 PLANE_HEIGHT_M = 0.3

@@ -37,7 +37,7 @@ DEFINITIONS: tuple[Definition, ...] = get_args(Definition)
 
 TARGETS: tuple[Target, Target] = (CAR, PEDESTRIAN)
 
-EGO_BOX_M, EGO_HEIGHTS_M = (_core.EGO_LENGTH_M, _core.EGO_WIDTH_M), (_core.LEAST_EGO_HEIGHT_M, _core.MOST_EGO_HEIGHT_M)
+EGO_BOX_M, EGO_HEIGHTS_M = (_core.EGO_LENGTH_M, _core.EGO_WIDTH_M), (_core.MIN_EGO_HEIGHT_M, _core.MAX_EGO_HEIGHT_M)
 """Half length and half width of the vehicle below the sensor, and the sensor heights at which one is assumed."""
 
 MANY_BEAMS = 50

@@ -21,7 +21,7 @@ from viewshed_lab.sim.worlds.traffic import Lane, Pace, driven, straight_lane
 
 _PACE = Pace(110.0, 50.0, (6.0, 18.0), (7.0, 25.0, 90.0))
 _FACE_M = 0.03
-_LEAST_CLEAR_M = 4.4
+_MIN_CLEAR_M = 4.4
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,7 +130,7 @@ def _masts(rng: np.random.Generator, count: int, cross: Crossing) -> list[Mast]:
 def _structure(rng: np.random.Generator, cross: Crossing) -> list[Thing]:
     """Return deck, girders, optional piers, parapets, and the things on the upper road."""
     top, long, wide = cross.high_m, cross.gap_m + 1.2, 2 * cross.deck_m
-    deep = min(rng.uniform(0.7, 1.6), top - _LEAST_CLEAR_M)
+    deep = min(rng.uniform(0.7, 1.6), top - _MIN_CLEAR_M)
     slab = 0.45 * deep
     deck = Thing(DECK, (Box(0.0, 0.0, long, wide, top, top - slab, 0.0, "asphalt"),), cross.at_m, z_m=0.0)
     count = int(rng.integers(2, 5))

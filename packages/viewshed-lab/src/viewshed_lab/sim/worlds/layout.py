@@ -20,7 +20,7 @@ Span = tuple[float, float]
 Rect = tuple[float, float, float, float]
 """(x min, y min, x max, y max), meters."""
 
-MOST_MOVING = 40
+MAX_MOVING = 40
 """Largest number of moving things of a world."""
 
 
@@ -159,5 +159,5 @@ def _nearest(riders: Riders, masts: Sequence[Mast], duration_s: float) -> Riders
     eyes = np.concatenate([positions[ridden], posts])
     gaps = np.hypot(*np.moveaxis(positions[:, None] - eyes[None], -1, 0)).min(axis=(1, 2))
     order = np.argsort(np.where(ridden | rests, -1.0, gaps), kind="stable")
-    kept = set(order[: MOST_MOVING + int((rests & ~ridden).sum())].tolist())
+    kept = set(order[: MAX_MOVING + int((rests & ~ridden).sum())].tolist())
     return [rider for k, rider in enumerate(riders) if k in kept]

@@ -20,7 +20,7 @@ from viewshed_lab.sim.worlds.traffic import Lane, line_lane
 HALF_M = 112.0
 """Half the side of a world."""
 
-_CROWN, _MOST_LINES = 0.02, 46
+_CROWN, _MAX_LINES = 0.02, 46
 
 _ROUGH_FROM_M, _ROUGH_OVER_M = 6.0, 20.0
 """Distances beyond the bank at which the roughness of the land begins, and at which it is full."""
@@ -171,7 +171,7 @@ class Roadway:
         axis = self.bend.axis(np.linspace(-HALF_M, HALF_M, 60))
         low, high = float(axis.min()) - self.foot_m(-1) - 1.0, float(axis.max()) + self.foot_m(1) + 1.0
         low, high = max(low, -HALF_M + 12.0), min(high, HALF_M - 12.0)
-        near = np.linspace(low, high, min(max(2, round((high - low) / across_m)), _MOST_LINES))
+        near = np.linspace(low, high, min(max(2, round((high - low) / across_m)), _MAX_LINES))
         far = [np.linspace(-HALF_M, low, 7)[:-1], near, np.linspace(high, HALF_M, 7)[1:]]
         return Terrain.of(x_m, np.concatenate(far), self.height, self.material)
 

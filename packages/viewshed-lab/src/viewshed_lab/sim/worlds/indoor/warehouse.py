@@ -17,7 +17,7 @@ from viewshed_lab.sim.worlds.indoor.walls import Opening, Wall, around, build, c
 from viewshed_lab.sim.worlds.layout import Rect
 
 _QUARTERS = (0.0, np.pi / 2, np.pi, -np.pi / 2)
-_STAGING_M, _CROSS_M, _MOST_PARTS = 10.0, 3.2, 560
+_STAGING_M, _CROSS_M, _MAX_PARTS = 10.0, 3.2, 560
 
 _STAGED: tuple[tuple[Maker, int], ...] = (
     (stock.forklift, 2), (stock.conveyor, 1), (stock.pallet, 8), (stock.cage, 4), (stock.cart, 3),
@@ -101,7 +101,7 @@ def _floor_storage(floor_plan: FloorPlan, rect: Rect) -> None:
     while x + 2.8 < rect[2]:
         y = rect[1]
         while y + 1.3 < rect[3]:
-            if rng.random() < 0.4 and floor_plan.parts < _MOST_PARTS:
+            if rng.random() < 0.4 and floor_plan.parts < _MAX_PARTS:
                 for k in range(int(rng.integers(1, 4))):
                     floor_plan.put(place_group(stock.stack(rng), x + 0.45 + 0.9 * k, y + 0.65, rng.normal(0.0, 0.015)))
             y += 1.4 if rng.random() < 0.7 else 3.0
