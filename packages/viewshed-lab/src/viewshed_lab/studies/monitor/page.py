@@ -336,8 +336,8 @@ def trace_page(called: Sequence[Called], limit: float, per_hour: float) -> str:
         for name in others
     ]
     intro = (
-        " ".join(parts) + " The upper end of a rate is that of a Poisson interval (Garwood) for sweeps at 10 Hz. Below are"
-        " all called sweeps, and those around each spoofed one:"
+        " ".join(parts) + " The upper end of a rate is that of a Poisson interval (Garwood) for sweeps at 10 Hz. Below"
+        " are all called sweeps, and those around each spoofed one:"
     )
     return page(
         "Public traces of spoofed drives", about, f"## What is called\n\n{_traces(called)}", intro, *_strips(called)
