@@ -234,8 +234,8 @@ CASES: dict[str, tuple[Callable[[int], Rows], str]] = {
     "Trust of many agents": (
         trust_of_agents,
         "Four cars and a mast; detections are forged as published. The published trust gets the same tracks; its"
-        " polygon is the mask of the same estimate. *No trust* believes all agents. GOSPA counts the tracks that some agent"
-        " reports at the time. The publication reports no comparable figures.",
+        " polygon is the mask of the same estimate. *No trust* believes all agents. GOSPA counts the tracks that some"
+        " agent reports at the time. The publication reports no comparable figures.",
     ),
 }
 """By title: function and description of a case."""
