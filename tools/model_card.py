@@ -23,16 +23,16 @@ ROOT = Path(__file__).resolve().parents[1]
 OUT = ROOT / "docs" / "results" / "model_card.md"
 _ABOUT = """\
 The networks that the package ships, read from their files. All are trained on simulated sweeps only, so their license
-is that of viewshed. The output for a cell is the probability that a target of the named kind, standing there, would give
-enough returns ([what visible means](../conventions.md#visible)).
+is that of viewshed. The output for a cell is the probability that a target of the named kind there would give enough
+returns ([what visible means](../conventions.md#visible)).
 
 ## Files"""
 _COMPILED = """\
 ## Networks of the default
 
 `shadow_map` uses two small networks, compiled into the core in float32. They do not depend on a grid, and no attack was
-in their training. They are fitted to scenes `from:to` of the [worlds in the wild](../simulate.md); the last 12 % of each
-file are held out. The development set and the sealed set were not used."""
+in their training. They are fitted to scenes `from:to` of the [worlds in the wild](../simulate.md); the last 12 %
+of each file are held out. The development set and the sealed set were not used."""
 _COMMANDS = "These commands fit them again, in this order (`make priors`):"
 _TRAINING = """\
 ## Training
@@ -49,8 +49,8 @@ positions, motion and traffic follow from the seed ([simulator](../simulate.md))
 _WORTH = """\
 ## What they are worth
 
-- [Networks of version 0.3.0](archive.md) beside the classical estimators, on scenes of other seeds: the networks and their
-  parts, 8-bit weights, and the published shape on roads and indoors.
+- [Networks of version 0.3.0](archive.md) beside the classical estimators, on scenes of other seeds: the networks and
+  their parts, 8-bit weights, and the published shape on roads and indoors.
 - [Cross-view truth](crossview.md): real sweeps of ten sensors.
 - [Speed](network_speed.md).
 
