@@ -1,7 +1,7 @@
-"""Estimate every sweep of an index: a contact sheet of the states alone, and a table.
+"""Estimate every sweep of an index: a contact sheet of cell states, and a table.
 
 ``python tools/contact_sheet.py INDEX.json --out docs/results`` writes ``real_sweeps.png`` and ``real_sweeps.md``. The
-sheet shows our estimates only, no point of the data. Judgements are read from ``real_sweeps_judgement.md`` beside it.
+sheet shows estimates only, no points of the data. Comments come from ``real_sweeps_judgement.md`` beside this file.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Fit the network that says how often a cell is visible of which the beams say so much.
+"""Fit the network that calibrates the probability that a cell is visible, from its beam evidence.
 
     python tools/fit_calibration.py make learning road --scenes 0:900 --out cells
     python tools/fit_calibration.py make training road --scenes 0:200 --out cells
@@ -9,10 +9,9 @@
     python tools/fit_calibration.py judge --page docs/results
 
 ``make`` writes one file for 10 scenes and goes on where it was stopped. ``fit`` keeps the last scenes of each file for
-validation, and writes the network as C++, which is compiled into the core; each part of each set counts the same. The
-scenes of ``own`` that the study of the wild judges (the first 40 and 16), the development and the sealed set are not
-used. ``judge`` writes the page of the calibration and of what is guessed, of the former two, after the core is
-compiled.
+validation, and writes the network as C++, which is compiled into the core; each part of each set has the same total
+weight. The scenes of ``own`` that the study of the wild scores (the first 40 and 16), the development and the sealed
+set are not used. ``judge`` writes the page of results on the former two, after the core is compiled.
 """
 
 from __future__ import annotations
@@ -49,34 +48,39 @@ PARTS = {"road": "car", "indoor": "pedestrian"}
 CASES = tuple(product(("development", "own"), PARTS))
 SURE_GROUND_M = 0.1
 COUNTED, CALIBRATED = "counted", "calibrated"
-WORDS = """What the default says of a cell, and how often it is so. *Counted*: the probability by counting beams alone.
-*Calibrated*: that of the estimate, by a network of sixteen units that also sees what the whole sweep is like
-([evidence](../estimators.md#evidence)), fitted to other worlds. *Development*: styles, sensors and mountings that share
-nothing with these; *own*: those of the presets, other scenes. Given: the maker's table, height and attitude; rings;
-nothing but points. The calibration error is over all cells whose truth is known, as far as the sensor sees a dark
-target; the doubt is judged where beams aim. Both say the same of what is visible, so that they have one F1."""
+WORDS = """How well the probability of `shadow_map`, the default, is calibrated: the stated probability that a cell is
+visible against the share of visible cells, in simulated scenes. *Counted* is the probability from counting beams alone.
+*Calibrated* is that of the estimate: a network of sixteen units that also sees averages over the whole sweep
+([evidence](../estimators.md#evidence)) corrects the count. It is fitted to other worlds. The *development* set shares
+no styles, sensors or mountings with these; the *own* set has the styles of the presets, in scenes that were not
+fitted. The last word of a row is what the estimator is given: the maker's beam table, height and attitude (*table*),
+*rings*, or *nothing* but points.
 
-PRIORS = """What was not measured and is guessed, rings given. *By inferred beams alone*: claimed cells that measured
-beams would not support; *false* if the truth does not show them. *Unresolved*: missed cells that would be claimed if
-the beams without a return had ended late. *Unseen ground*: cells whose ground rests on no return there, with the
-deviation that the estimate states."""
+A cell shows counted → calibrated. The calibration error is over all cells with known truth within the range at which
+the sensor detects a dark target. The doubt, min(p, 1 - p), should predict wrong cells; its AUROC is over the cells at
+which beams aim. Both claim the same cells, so they have one F1."""
 
-STYLES = "Claims by style of the world, all scenes of a style together, rings given."
+PRIORS = """Results where the default guesses what was not measured, rings given. *Claims by inferred beams alone*:
+claimed cells that measured beams would not support; *false* if they are not visible. *Unresolved*: missed cells that
+would be claimed if the beams without a return had ended late. *Unseen ground*: the estimated height of ground without
+returns, against the standard deviation that the estimate states."""
+
+STYLES = "Results by style of world, pooled over all scenes of a style, rings given."
 
 FAR_M = 64.0
-"""Beyond this lie the corners of the road grid alone."""
+"""Beyond this range are only the corners of the road grid."""
 
 CELLS_OF_SWEEP, BATCH, RATE, DECAY, UNITS = 400, 4096, 8e-3, 0.05, 16
 HELD_SHARE = 0.12
 MOST_SWEEP_DEVIATIONS = 2.0
-"""At which features of the sweep are cut off, as in the core."""
+"""Bound of the standardized features of the sweep, as in the core."""
 
 OTHER_SHARE = 0.3
-"""Of the sweeps that are also shown with the target of the other grid."""
+"""Share of the sweeps that are also used with the target of the other grid."""
 
 
 def make_file(folder: Path, scenes: list[WildScene]) -> None:
-    """Write features (K, F) of cells drawn at random, and whether they are visible (K,), into one file of a folder."""
+    """Write features (K, F) of random cells, and whether they are visible (K,), into one file of a folder."""
     path = folder / f"{scenes[0].name.rsplit('-', 1)[0]}-{len(scenes)}.npz"
     if path.exists():
         return
@@ -139,7 +143,7 @@ def fit(given: argparse.Namespace) -> None:
     visible = torch.tensor(np.concatenate([file["visible"] for file in files]).astype(np.float32))
     sizes = [len(file["visible"]) for file in files]
     held = torch.tensor(np.concatenate([np.arange(size) >= (1 - HELD_SHARE) * size for size in sizes]))
-    # Each part of each set counts the same.
+    # Each part of each set has the same total weight.
     parts = ["-".join(path.name.split("-")[:2]) for path in paths]
     cells = {part: sum(size for size, of in zip(sizes, parts, strict=True) if of == part) for part in parts}
     shares = [sum(sizes) / len(cells) / cells[part] for part in parts]

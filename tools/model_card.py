@@ -22,46 +22,46 @@ from viewshed_lab.training.no_return import arrays_of
 ROOT = Path(__file__).resolve().parents[1]
 OUT = ROOT / "docs" / "results" / "model_card.md"
 _ABOUT = """\
-What the package ships, read from the files themselves. All were trained on simulated sweeps alone, so that their
-licence is that of viewshed. What they say is a probability that a target of the named kind, standing in a cell, would
-have given enough returns ([what visible means](../conventions.md#visible)).
+The networks that the package ships, read from their files. All are trained on simulated sweeps only, so their license
+is that of viewshed. The output for a cell is the probability that a target of the named kind there would give enough
+returns ([what visible means](../conventions.md#visible)).
 
 ## Files"""
 _COMPILED = """\
 ## Networks of the default
 
-`shadow_map` uses two small networks, which are compiled into the core as float32 numbers. They know no grid, and were
-shown no attack. *Scenes*: of the [worlds in the wild](../simulate.md), from : to; the last 12 % of each file were held
-back. The development and the sealed set were not shown."""
-_COMMANDS = "The commands that make them again, in this order (`make priors`):"
+`shadow_map` uses two small networks, compiled into the core in float32. They do not depend on a grid, and no attack was
+in their training. They are fitted to scenes `from:to` of the [worlds in the wild](../simulate.md); the last 12 %
+of each file are held out. The development set and the sealed set were not used."""
+_COMMANDS = "These commands fit them again, in this order (`make priors`):"
 _TRAINING = """\
 ## Training
 
-*Shown*: frames that the training took, drawn from those of the data; *attacked*: share of them under an attack.
-Validation F1 is that of the best epoch, over frames attacked in the same share; no figure to compare estimators by."""
+*Shown*: number of training frames, sampled from the data; *attacked*: share of them under an attack. Validation F1 is
+that of the best epoch, on frames of which the same share is attacked; do not compare estimators by it."""
 _ATTACKS = """\
-Of the [attacks](../attacks.md) that touch returns (`paper` is `uniform` and `cluster` as published):"""
+Training and the [attacks](../attacks.md) that change returns (`paper` is `uniform` and `cluster` as published):"""
 _DATA = """\
 ## Data
 
-Sweeps of the presets' `train` split; the others were never trained on. Weather and faults are drawn by weight,
-positions, motion and traffic by the seed ([simulator](../simulate.md))."""
+Sweeps of the presets' `train` split; the other splits were never trained on. Weather and faults are sampled by weight;
+positions, motion and traffic follow from the seed ([simulator](../simulate.md))."""
 _WORTH = """\
 ## What they are worth
 
-On scenes of other seeds, beside the classical estimators, with 8-bit weights: [the networks and their parts, the
-published shape on roads and indoors](archive.md), of version 0.3.0; on real sweeps of ten sensors
-[cross-view truth](crossview.md); [speed](network_speed.md).
+- [Networks of version 0.3.0](archive.md) beside the classical estimators, on scenes of other seeds: the networks and
+  their parts, 8-bit weights, and the published shape on roads and indoors.
+- [Cross-view truth](crossview.md): real sweeps of ten sensors.
+- [Speed](network_speed.md).
 
 ## What they are not for
 
-- **Other grids and targets**: they are refused with one line.
+- **Other grids and targets**: they are refused with an error of one line.
 - **Sensors on their side or upside down**, and mounts higher or lower than those of the data.
-- **Proof.** A network tells what is likely in worlds like those that it was trained in. In the wedge of an attack that
-  opens a view one sweep does not tell a true far return from a false one; see the missed figures of the pages above.
-- **The air.** Truth is geometry: a target that stands in a visible cell in dense fog may still return nothing.
-- **A decision that nothing else checks.** The classical estimators and the [monitor](../monitor.md) are there to
-  disagree."""
+- **Proof.** A network states what is likely in worlds like those of its training. In the wedge of an attack that opens
+  a view, one sweep does not distinguish a true far return from a false one; see the missed targets on the pages above.
+- **Weather in the air.** Truth is geometric: a target in a visible cell in dense fog may still return nothing.
+- **Decisions without a second check.** Compare with the classical estimators and the [monitor](../monitor.md)."""
 
 
 def main(words: Sequence[str] | None = None) -> None:

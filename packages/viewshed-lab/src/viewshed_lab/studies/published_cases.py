@@ -217,23 +217,25 @@ def _area(scenes: Sequence[tuple[F64, F64, list[int]]], which: Literal[0, 1]) ->
 CASES: dict[str, tuple[Callable[[int], Rows], str]] = {
     "A robot indoors": (
         robot_indoors,
-        "A robot with a VLP-16 in rooms, corridors and halls. Truth is exact; that of the publication is its own.",
+        "A robot with a VLP-16 in rooms, corridors and halls, against exact truth. The publication's row is against its"
+        " own truth.",
     ),
     "A sensor on a mast beside a car": (
         mast_beside_a_car,
-        f"A car with an HDL-64E at a junction, and a mast of {MAST_M:g} m whose sensor looks {PITCH_DEG:g}° down: where"
-        f" a car would be seen within {WITHIN_M:g} m of the car. The publication reports no figures.",
+        f"A car with an HDL-64E at a junction, and a mast of {MAST_M:g} m whose sensor is pitched {PITCH_DEG:g}° down."
+        f" Areas are those within {WITHIN_M:g} m of the car where another car would be visible. The publication reports"
+        " no figures.",
     ),
     "Perception with a field of view": (
         perception,
-        "The same detections, tracked by what the field of view lets be seen, without it, and as published. GOSPA (4 m)"
+        "The same detections, tracked with a field of view, without one, and as published. GOSPA (cutoff 4 m) is"
         " against the objects within 50 m that give five returns. The publication reports no figures.",
     ),
     "Trust of many agents": (
         trust_of_agents,
-        "Four cars and a mast; detections are forged as published. The published trust has the same tracks and the mask"
-        " of the same estimate as its polygon. GOSPA is of the tracks that somebody reports at the time. The"
-        " publication reports no figures that compare.",
+        "Four cars and a mast; detections are forged as published. The published trust gets the same tracks; its"
+        " polygon is the mask of the same estimate. *No trust* believes all agents. GOSPA counts the tracks that some"
+        " agent reports at the time. The publication reports no comparable figures.",
     ),
 }
 """By title: function and description of a case."""

@@ -462,8 +462,8 @@ def _drives(lines: list[Line]) -> str:
     counts = Counter((line["case"], line["monitor"]) for line in lines).values()
     low, high = (f"{share_interval(0, count)[1]:.0%}".replace("%", " %") for count in (max(counts), min(counts)))
     return (
-        f"{min(counts)} to {max(counts)} drives a pair: where none hit, that shows no more than collisions below"
-        f" {low} (most drives) or {high} (fewest)"
+        f"{min(counts)} to {max(counts)} drives a pair: without a collision they only show a rate below {low} (most"
+        f" drives) or {high} (fewest)"
     )
 
 

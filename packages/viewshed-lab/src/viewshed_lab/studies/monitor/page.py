@@ -268,7 +268,7 @@ def _traces(called: Sequence[Called]) -> Table | str:
     """Return the table of called sweeps by trace and in all; sweeps of a trace without a key count as honest."""
     by_trace = {name: [one for one in called if one.trace == name] for name in sorted({one.trace for one in called})}
     if not by_trace:
-        return "The traces were not given."
+        return "No traces were given."
     rows = []
     for name, part in [*by_trace.items(), *([("all", list(called))] if len(by_trace) > 1 else [])]:
         spoofed, honest = [one for one in part if one.is_spoofed], [one for one in part if not one.is_spoofed]
@@ -326,18 +326,18 @@ def trace_page(called: Sequence[Called], limit: float, per_hour: float) -> str:
     if known:
         parts.append(
             f"{' and '.join(known)}: real sweeps of one car (Allenpandas/LiDAR-Spoofing-Forensics-Datasets, Apache-2.0)"
-            " without rings; poses that lie beside them are not used. The authors publish no key; this one is inferred"
-            " from the data, where these sweeps stand out by gaps of 10 to 25 times in single statistics."
+            " without rings. The poses published with them are not used. The authors do not say which sweeps are"
+            " spoofed. This key is inferred: in single statistics, these sweeps stand out by gaps of 10 to 25 times."
         )
     parts += [
-        f"{name}: no key says which sweeps are spoofed; all count as honest."
+        f"{name}: without a key of its spoofed sweeps, all sweeps count as honest."
         if all(one.is_spoofed is None for one in called if one.trace == name)
-        else f"{name}: which sweeps are spoofed was given with `--key`."
+        else f"{name}: the spoofed sweeps were given with `--key`."
         for name in others
     ]
     intro = (
-        " ".join(parts) + " An upper end is that of the Poisson counts (Garwood) of sweeps at 10 Hz. Sweeps about each"
-        " spoofed one, and all that are called:"
+        " ".join(parts) + " The upper end of a rate is that of a Poisson interval (Garwood) for sweeps at 10 Hz. Below"
+        " are all called sweeps, and those around each spoofed one:"
     )
     return page(
         "Public traces of spoofed drives", about, f"## What is called\n\n{_traces(called)}", intro, *_strips(called)
