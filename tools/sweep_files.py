@@ -159,7 +159,7 @@ def fragments(payload: bytes, number: int = 7) -> list[bytes]:
 
 
 def pcap(frames: list[bytes], order: str = "<") -> bytes:
-    """Return a capture of Ethernet frames, one a millisecond from second 1000 on."""
+    """Return a pcap file of Ethernet frames, one per millisecond from second 1000 on."""
     capture = bytearray(struct.pack(order + "IHHiIII", 0xA1B2C3D4, 2, 4, 0, 0, 65_535, 1))
     for index, frame in enumerate(frames):
         capture += struct.pack(order + "IIII", 1000, 1000 * index, len(frame), len(frame)) + frame
@@ -171,7 +171,7 @@ OUSTER_OFFSETS_DEG = [(-4.0, -1.5, 1.5, 4.0)[row % 4] for row in range(32)]
 
 
 def ouster_metadata(columns: int = 64) -> bytes:
-    """Return metadata of an imagined Ouster sensor of 32 beams."""
+    """Return metadata of an invented Ouster sensor of 32 beams."""
     identity = np.eye(4).ravel().tolist()
     layout = {
         "column_window": [0, columns - 1], "columns_per_frame": columns, "columns_per_packet": 16,
