@@ -1,4 +1,4 @@
-"""A headless Chromium for tests and pictures of pages, controlled over two pipes: needs no package and no port."""
+"""Control a headless Chromium over two pipes, for tests and pictures of pages; needs no package and no port."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ os.dup2(int(sys.argv[1]), 3)
 os.dup2(int(sys.argv[2]), 4)
 os.execv(sys.argv[3], sys.argv[3:])
 """
-"""Chromium reads commands from descriptor 3 and answers on 4."""
+"""Chromium reads commands from descriptor 3 and writes results to 4."""
 
-_PATIENCE_S = 60.0
+_TIMEOUT_S = 60.0
 
 
 def chromium() -> str | None:
-    """Return the path of a Chromium on this machine, or None."""
+    """Return the path of an installed Chromium, or None."""
     return next(filter(None, map(shutil.which, NAMES)), None)
 
 
@@ -68,8 +68,8 @@ class Browser:
     """One tab of a running Chromium.
 
     Attributes:
-        problems: errors and warnings of the console, exceptions of scripts, since the last page was opened.
-        requests: addresses that were requested since then.
+        problems: console errors and warnings and script exceptions since the last page was opened.
+        requests: addresses requested since then.
     """
 
     def __init__(self, read: int, write: int) -> None:
@@ -92,50 +92,50 @@ class Browser:
             message["sessionId"] = self._session
         os.write(self._write, json.dumps(message).encode() + b"\0")
         while True:
-            answer = self._next(time.monotonic() + _PATIENCE_S)
-            if answer.get("id") == self._number:
-                if "error" in answer:
-                    raise RuntimeError(f"{method}: {answer['error']['message']}")
-                return answer["result"]
+            response = self._next(time.monotonic() + _TIMEOUT_S)
+            if response.get("id") == self._number:
+                if "error" in response:
+                    raise RuntimeError(f"{method}: {response['error']['message']}")
+                return response["result"]
 
     def open(self, address: str) -> None:
-        """Open an address and wait until all of it is loaded."""
+        """Open an address and wait for the page's load event."""
         self.problems.clear()
         self.requests.clear()
         self._events.clear()
         self.send("Page.navigate", url=address)
-        until = time.monotonic() + _PATIENCE_S
+        until = time.monotonic() + _TIMEOUT_S
         while "Page.loadEventFired" not in self._events:
             self._next(until)
 
     def value(self, expression: str) -> Any:
-        """Return the value of an expression of JavaScript, awaited if it is a promise."""
+        """Return the value of a JavaScript expression, awaited if it is a promise."""
         done = self.send("Runtime.evaluate", expression=expression, awaitPromise=True, returnByValue=True)
         if "exceptionDetails" in done:
             raise RuntimeError(f"{expression}: {_words(done['exceptionDetails'])}")
         return done["result"].get("value")
 
     def wait_for(self, expression: str) -> None:
-        """Wait until an expression of JavaScript is true."""
-        until = time.monotonic() + _PATIENCE_S
+        """Wait until a JavaScript expression is true."""
+        until = time.monotonic() + _TIMEOUT_S
         while not self.value(expression):
             if time.monotonic() > until:
                 raise TimeoutError(expression)
             time.sleep(0.02)
 
     def window(self, width: int, height: int, dark: bool = False) -> None:
-        """Give the page a window of this size in pixels, and a light or a dark system."""
+        """Set the size of the window in pixels, and a light or dark system theme."""
         self.send("Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=False)
         scheme = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
         self.send("Emulation.setEmulatedMedia", features=[scheme])
 
     def press(self, key: str, text: str = "") -> None:
-        """Press a key and let go of it."""
+        """Press and release a key."""
         self.send("Input.dispatchKeyEvent", type="keyDown", key=key, text=text)
         self.send("Input.dispatchKeyEvent", type="keyUp", key=key)
 
     def mouse(self, kind: str, x: float, y: float, **more: Any) -> None:
-        """Move the mouse, press or release its left button, or turn its wheel (``kind`` as the protocol has it)."""
+        """Move the mouse, press or release its left button, or turn its wheel (``kind``: the protocol's event type)."""
         self.send("Input.dispatchMouseEvent", type=kind, x=x, y=y, **more)
 
     def screenshot(self) -> bytes:
@@ -143,10 +143,10 @@ class Browser:
         return base64.b64decode(self.send("Page.captureScreenshot", format="png")["data"])
 
     def _next(self, until: float) -> dict[str, Any]:
-        """Return the next message, and note what it tells of the page."""
+        """Return the next message, after recording its event, request or problem."""
         while b"\0" not in self._rest:
             if not select.select([self._read], [], [], max(0.0, until - time.monotonic()))[0]:
-                raise TimeoutError(f"Chromium said nothing for {_PATIENCE_S:g} s")
+                raise TimeoutError(f"Chromium said nothing for {_TIMEOUT_S:g} s")
             chunk = os.read(self._read, 1 << 20)
             if not chunk:
                 raise EOFError("Chromium has ended")

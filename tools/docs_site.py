@@ -1,8 +1,8 @@
-"""Hooks of mkdocs: what the site takes from the code, so that no page repeats it.
+"""Hooks of mkdocs, and tables that pages of the documentation take from code and results.
 
-Between ``<!-- generated: NAME -->`` and ``<!-- end of NAME -->`` of a page stands the table of that name in
-``GENERATED``; ``python tools/docs_site.py`` writes it there anew. Each notebook becomes a page with its stored outputs.
-The site's name shows the version, and its header the repository, where the checkout has one.
+``python tools/docs_site.py`` rewrites each table between ``<!-- generated: NAME -->`` and ``<!-- end of NAME -->`` by
+the function of that name in ``GENERATED``. In the site, each notebook becomes a page with its stored outputs, the
+site's name shows the version, and the header links the repository if the checkout has a remote.
 """
 
 from __future__ import annotations
@@ -32,25 +32,25 @@ from viewshed_lab._results import KeyNumber
 ROOT = Path(__file__).resolve().parents[1]
 MARK = re.compile(r"^<!-- generated: (\w+) -->\n(?:.*?\n)?<!-- end of \1 -->$", re.MULTILINE | re.DOTALL)
 TUTORIAL_SWEEP = "kitti/odometry00/000000.bin"
-"""The real sweep of the tutorial, in the folder of real sweeps."""
+"""Sweep of the tutorial, below the folder of real sweeps."""
 RESULTS = ("gallery.md", "first_hour.md", "release.md")
-"""Pages that commands write as a whole."""
+"""Pages written entirely by commands."""
 RINGS, POINTS = "road, car #3", "road, car #4"
-"""Tables of cars on roads in the page in the wild: rings and intensity known, and points alone."""
+"""Headings of two tables for cars on roads in ``docs/results/wild.md``: with rings and intensity, and points alone."""
 ELSEWHERE = {
     "contribute/contributing.md": "CONTRIBUTING.md",
     "contribute/core.md": "packages/viewshed/src/core/README.md",
     "contribute/changes.md": "CHANGELOG.md",
     "reference/ros_node.md": "ros/viewshed_ros/README.md",
 }
-"""Pages of the site that stand elsewhere in the repository."""
+"""Page of the site → file outside of ``docs`` that it shows."""
 
 
 # What mkdocs calls.
 
 
 def on_config(config: Any) -> Any:
-    """Name the version, and link the repository that the checkout comes from."""
+    """Set the site's name with the version, and its link to the repository of the checkout's remote."""
     config.site_name = f"viewshed {viewshed.__version__}"
     command = ["git", "-C", str(ROOT), "remote", "get-url", "origin"]
     origin = subprocess.run(command, check=False, capture_output=True, text=True).stdout.strip()
@@ -60,7 +60,7 @@ def on_config(config: Any) -> Any:
 
 
 def on_files(files: Any, config: Any) -> Any:
-    """Put a page in place of each notebook, and its pictures beside it."""
+    """Add a page for each notebook with its pictures, and the pages of ``ELSEWHERE``."""
     from mkdocs.structure.files import File
 
     for file in [file for file in files if file.src_uri.endswith(".ipynb")]:
@@ -77,7 +77,7 @@ def on_files(files: Any, config: Any) -> Any:
 
 
 def on_page_markdown(markdown: str, page: Any = None, **_: Any) -> str:
-    """Turn a page's links to files elsewhere into those to their pages; that of the command line has every option."""
+    """Replace links to notebooks and files of ``ELSEWHERE`` by links to their pages; add all options to ``cli.md``."""
     if results_index.MARK in markdown:
         markdown = results_index.with_overview(markdown)
     for own, path in ELSEWHERE.items():
@@ -87,7 +87,7 @@ def on_page_markdown(markdown: str, page: Any = None, **_: Any) -> str:
 
 
 def on_page_content(html: str, **_: Any) -> str:
-    """Make each picture a link to itself: a page is narrower than most pictures are."""
+    """Link each picture to itself: most pictures are wider than the page."""
     return re.sub(r'<img [^>]*src="([^"]+)"[^>]*>', r'<a href="\1">\g<0></a>', html)
 
 
@@ -95,7 +95,7 @@ def on_page_content(html: str, **_: Any) -> str:
 
 
 def page_of_notebook(path: Path) -> tuple[str, dict[str, bytes]]:
-    """Return a notebook as Markdown with its stored outputs, and its pictures by name."""
+    """Return a notebook with its stored outputs as Markdown, and its pictures (PNG) by name."""
     blocks: list[str] = []
     pictures: dict[str, bytes] = {}
     for cell in json.loads(path.read_text(encoding="utf-8"))["cells"]:
@@ -112,7 +112,7 @@ def page_of_notebook(path: Path) -> tuple[str, dict[str, bytes]]:
 
 
 def printed_by(cell: Any) -> str:
-    """Return what a cell of a notebook prints or returns as text; nothing for a picture."""
+    """Return the stored text output of a notebook's cell, without pictures."""
     outputs = [output for output in cell.get("outputs", []) if "image/png" not in output.get("data", {})]
     return "".join("".join(o.get("text") or o.get("data", {}).get("text/plain", "")) for o in outputs)
 
@@ -121,7 +121,7 @@ def printed_by(cell: Any) -> str:
 
 
 def command_names() -> list[str]:
-    """Return the commands that ``--help`` lists, those of groups with the group's name before them."""
+    """Return the commands that ``--help`` lists; a command of a group follows the group's name (``study paper``)."""
     from typer.main import get_command
 
     from viewshed.cli import application
@@ -139,7 +139,7 @@ def _names(group: Any, prefix: str = "") -> Iterator[str]:
 
 @cache
 def commands() -> str:
-    """Return every command with what its ``--help`` prints."""
+    """Return the ``--help`` text of every command as Markdown."""
     from typer.testing import CliRunner
 
     from viewshed.cli import application
@@ -153,13 +153,13 @@ def commands() -> str:
 
 
 def command_table() -> str:
-    """Return every command with the first line of its help."""
-    firsts = re.findall(r"^## viewshed (.*)\n\n```text\nUsage: (?:.+\n)+\n +(.*?\.)\s", commands(), re.MULTILINE)
-    return table(("command", "does"), [[f"`{name}`", first] for name, first in firsts])
+    """Return the table of commands with the first sentence of their help."""
+    summaries = re.findall(r"^## viewshed (.*)\n\n```text\nUsage: (?:.+\n)+\n +(.*?\.)\s", commands(), re.MULTILINE)
+    return table(("command", "does"), [[f"`{name}`", summary] for name, summary in summaries])
 
 
 def attacks() -> str:
-    """Return the table of attacks: family, name, mode, what it does, its own parameters with their defaults."""
+    """Return the table of attacks: family, name, mode, effect, and defaults of their own parameters."""
     from viewshed import Sweep
     from viewshed_lab.threats.attacks import ATTACKS, FAMILY, FREE_FORM, INFORMED, WHOLE_CLOUD, Knowledge
 
@@ -178,7 +178,7 @@ def attacks() -> str:
 
 
 def corruptions() -> str:
-    """Return the parameters of each corruption in its five severities."""
+    """Return the table of each corruption's parameters at its five severities."""
     from viewshed_lab.threats.corruptions import SEVERITIES, Weather
 
     weather = ("extinction_per_m", "particles_per_m", "particle_reach", "wet", "noise")
@@ -191,7 +191,7 @@ def corruptions() -> str:
 
 
 def defenses() -> str:
-    """Return the parameters of each defense."""
+    """Return the table of each defense's parameters and defaults."""
     from viewshed_lab.threats.defenses import DEFENSES
 
     rows = []
@@ -203,7 +203,7 @@ def defenses() -> str:
 
 
 def worlds() -> str:
-    """Return the kinds of simulated worlds, each in the words of its function, or of a module that has one alone."""
+    """Return the table of simulated worlds, described by the docstring of their function or, failing that, module."""
     from viewshed_lab.sim.worlds import WORLDS
 
     return table(("kind", "what is there"), [[f"`{name}`", _first_line(make)] for name, make in WORLDS.items()])
@@ -217,17 +217,18 @@ def _first_line(make: Any) -> str:
 
 
 def materials() -> str:
-    """Return the materials of simulated worlds."""
+    """Return the table of the materials of simulated worlds."""
     from viewshed_lab.sim.assets.shapes import MATERIALS
 
     rows = [
-        [one.name, f"{one.reflectivity:g}", "–" if math.isinf(one.per_m) else f"{one.per_m:g}"] for one in MATERIALS
+        [material.name, f"{material.reflectivity:g}", "–" if math.isinf(material.per_m) else f"{material.per_m:g}"]
+        for material in MATERIALS
     ]
     return table(("material", "reflectivity", "stops per meter"), rows)
 
 
 def weather() -> str:
-    """Return the weather and faults of the simulator by name."""
+    """Return the table of the simulator's weather and faults, with the parameters that differ from clear air."""
     from viewshed_lab.sim.lidar.weather import CONDITIONS
 
     names, clear = [field.name for field in fields(CONDITIONS["clear"])], CONDITIONS["clear"]
@@ -237,7 +238,7 @@ def weather() -> str:
 
 
 def sensors() -> str:
-    """Return the beam tables: beams, elevations, range, reach, how the simulator measures with each, and the source."""
+    """Return the table of sensors: rings, elevations, range, reach, simulated noise, and source of the beam table."""
     from viewshed.sensors import lidar_model, sensor_names
     from viewshed_lab.sim.lidar.optics import optics_of
 
@@ -260,11 +261,11 @@ def _text(value: object) -> str:
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 
-# Figures of pages, from results.
+# Tables of figures, read from the pages of results.
 
 
 def methods() -> str:
-    """Return precision, recall and F1 of every method on other worlds and own ones, from the page in the wild."""
+    """Return the table of precision, recall and F1 of each method in ``wild.md``, on its own and on other worlds."""
     columns = ("own: precision / recall", "own: F1", "other: precision / recall", "other: F1")
     rows = []
     for name in [name for name in viewshed.ESTIMATORS if f"\n| {name} |" in _result("wild")]:
@@ -275,7 +276,7 @@ def methods() -> str:
 
 
 def figures() -> str:
-    """Return the table of the README: what is asked, by which command, how well, on what, what was given, and where."""
+    """Return the table of the README: question, command, figure, data and inputs, from the pages of results."""
     doubt = _headline("calibration", "AUROC of its doubt").split(" → ")[1]
     over = _headline("crossview", "claimed though hidden, of the hidden columns, `shadow_map`, HDL-64E")
     caught = _cell("monitor", "What is caught", "mean of the attacks", "caught in .5 s at 6 alarms an hour")
@@ -303,23 +304,23 @@ def figures() -> str:
 
 
 def _headline(page: str, words: str) -> str:
-    """Return the bold number of the line at the top of a page of results that has these words."""
-    found = re.search(rf"^- \*\*(.*?)\*\* .*{re.escape(words)}", _result(page), re.MULTILINE)
-    if found is None:
+    """Return the bold number of the line with these words, from the list at the top of a page of results."""
+    match = re.search(rf"^- \*\*(.*?)\*\* .*{re.escape(words)}", _result(page), re.MULTILINE)
+    if match is None:
         raise ValueError(f"docs/results/{page}.md must have a line '- **NUMBER** … {words}' at its top")
-    return found[1]
+    return match[1]
 
 
 def _cell(page: str, heading: str, row: str, column: str) -> str:
-    """Return a cell of a table of a page of results: of the first row that begins so."""
-    found = KeyNumber("", heading, row, column).find(_result(page))
-    if found is None:
+    """Return a cell of the table below a heading of a page of results: first row that begins with ``row``."""
+    cell = KeyNumber("", heading, row, column).find(_result(page))
+    if cell is None:
         raise ValueError(f"docs/results/{page}.md must have a row {row!r} with {column!r} below {heading!r}")
-    return found
+    return cell
 
 
 def _seen(heading: str) -> str:
-    """Return how well the default sees on other worlds, in words."""
+    """Return precision, recall and F1 of the default method on other worlds, in words."""
     precision, recall = _cell("wild", heading, "shadow_map", "other: precision / recall").split(" / ")
     return f"precision {precision}, recall {recall}, F1 {_cell('wild', heading, 'shadow_map', 'other: F1')}"
 
@@ -337,14 +338,14 @@ GENERATED: dict[str, Callable[[], str]] = {
 
 
 def with_tables(markdown: str) -> str:
-    """Return a page with its generated tables anew."""
+    """Return a page with its generated tables rewritten."""
     return MARK.sub(
         lambda mark: f"<!-- generated: {mark[1]} -->\n{GENERATED[mark[1]]()}\n<!-- end of {mark[1]} -->", markdown
     )
 
 
 def words() -> int:
-    """Return how many words a reader of the pages reads: without results and what is generated."""
+    """Count the words of ``docs/*.md``, without pages and tables that are generated."""
     pages = [path for path in sorted((ROOT / "docs").glob("*.md")) if path.name not in RESULTS]
     return sum(len(MARK.sub("", path.read_text(encoding="utf-8")).split()) for path in pages)
 
@@ -353,13 +354,13 @@ def words() -> int:
 
 
 def transcript(text: str, folder: Path) -> str:
-    """Return a page with what its commands print, run in a folder.
+    """Return a page with the output of its commands, run in a folder.
 
-    These are the lines of console blocks that begin with ``$``. Commands of ``sh`` blocks run too, and nothing they
-    print is shown.
+    Commands are the lines of ``console`` blocks that begin with ``$``, whose output is written below, and the lines of
+    ``sh`` blocks, whose output is not shown.
     """
 
-    def again(block: re.Match[str]) -> str:
+    def rerun(block: re.Match[str]) -> str:
         if block["kind"] == "sh":
             for line in block["lines"].splitlines():
                 _print(line, folder)
@@ -367,11 +368,11 @@ def transcript(text: str, folder: Path) -> str:
         commands = re.findall(r"^\$ (.*)", block["lines"], re.MULTILINE)
         return "```console\n" + "".join(f"$ {command}\n{_print(command, folder)}" for command in commands)
 
-    return re.sub(r"^```(?P<kind>sh|console)\n(?P<lines>.*?)(?=^```)", again, text, flags=re.MULTILINE | re.DOTALL)
+    return re.sub(r"^```(?P<kind>sh|console)\n(?P<lines>.*?)(?=^```)", rerun, text, flags=re.MULTILINE | re.DOTALL)
 
 
 def _print(command: str, folder: Path) -> str:
-    """Run a command ``viewshed …`` in a folder; return what it prints, without the folder's path."""
+    """Run a command ``viewshed …`` in a folder; return its output without the folder's path."""
     program = [sys.executable, "-c", "import sys; from viewshed.cli import main; sys.argv[0] = 'viewshed'; main()"]
     done = subprocess.run(
         [*program, *shlex.split(command)[1:]], cwd=folder, check=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
@@ -381,11 +382,11 @@ def _print(command: str, folder: Path) -> str:
 
 
 def main() -> None:
-    """Write anew what pages take from results and from commands; the tutorial where its real sweep is to be had."""
-    for place in [ROOT / "README.md", *(ROOT / "docs").glob("*.md")]:
-        before = place.read_text(encoding="utf-8")
+    """Rewrite the generated tables of the pages, and the tutorial if its real sweep exists."""
+    for path in [ROOT / "README.md", *(ROOT / "docs").glob("*.md")]:
+        before = path.read_text(encoding="utf-8")
         if (after := with_tables(before)) != before:
-            place.write_text(after, encoding="utf-8")
+            path.write_text(after, encoding="utf-8")
     sweep = Path(os.environ.get("VIEWSHED_REAL_DATA", ROOT / ".." / "shared" / "data"), TUTORIAL_SWEEP)
     if sweep.is_file():
         page = ROOT / "docs" / "tutorial.md"

@@ -1,11 +1,11 @@
-"""The first hour of a user, run word for word in an empty home: install, the README's questions, a sweep of one's own.
+"""Run a user's first hour in an empty home: install, the README's commands, and a sweep of one's own.
 
     python tools/first_hour.py [--wheel FILE] [--times 3] [--page docs/first_hour.md]
 
-Each time begins with an empty home and nothing of the caller's environment, and the README's commands are typed from
-top to bottom into one shell, on a terminal. Without ``--wheel`` that is in a fresh copy of the checkout; with it, the
-wheels are installed in place of ``make demo`` and of the laboratory's folder. The last time's transcript is the page.
-Exit code 1 where a command failed, printed a traceback or left out a file that it named.
+Each run begins with an empty home and without the caller's environment, and types the README's commands from top to
+bottom into one shell on a terminal. Without ``--wheel`` this happens in a fresh copy of the checkout; with it, the
+wheels are installed in place of ``make demo`` and of the laboratory's folder. The page is the last run's transcript.
+The exit code is 1 if a command failed, printed a traceback or did not write a file that it named.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from viewshed_lab._page import facts, page
 
 ROOT = Path(__file__).resolve().parents[1]
 SILENT_S = 3.0
-_MOST_LINES = 50
+_MAX_LINES = 50
 
 _ABOUT = """A transcript of what a newcomer types in an empty home, and of all that is printed. Seconds were measured on
 this machine, under whatever load it had; *silent* is the longest wait without a line."""
@@ -35,7 +35,7 @@ this machine, under whatever load it had; *silent* is the longest wait without a
 
 @dataclass(slots=True)
 class Typed:
-    """A command, what it printed, how long it took, and the longest time without any output."""
+    """A typed command: its output, exit code, duration, and longest time without output."""
 
     command: str
     output: str
@@ -46,45 +46,45 @@ class Typed:
 
 @dataclass(slots=True)
 class Home:
-    """An empty home with one shell on a terminal, and the commands typed in it so far.
+    """An empty home with one shell on a terminal, and the commands typed so far.
 
-    Use it as a context: the shell ends with it. Nothing of the caller's environment is in it but PATH.
+    Use it as a context manager, which ends the shell. Of the environment only PATH is passed on.
     """
 
     folder: Path
     path: str = "/usr/local/bin:/usr/bin:/bin"
     typed: list[Typed] = field(default_factory=list)
-    _ours: int = field(default=-1, init=False)
+    _terminal: int = field(default=-1, init=False)
     _shell: subprocess.Popen[bytes] | None = field(default=None, init=False)
 
     def __enter__(self) -> Home:
         env = {"HOME": str(self.folder), "PATH": self.path, "LANG": "C.UTF-8", "TERM": "xterm"}
-        self._ours, theirs = pty.openpty()
+        self._terminal, shell_end = pty.openpty()
         self._shell = subprocess.Popen(
-            ["bash", "--noprofile", "--norc"], cwd=self.folder, env=env, stdin=subprocess.PIPE, stdout=theirs,
-            stderr=theirs,
+            ["bash", "--noprofile", "--norc"], cwd=self.folder, env=env, stdin=subprocess.PIPE, stdout=shell_end,
+            stderr=shell_end,
         )  # fmt: skip
-        os.close(theirs)
+        os.close(shell_end)
         return self
 
     def __exit__(self, *_: object) -> None:
         if self._shell is not None:
             self._shell.communicate()
-        os.close(self._ours)
+        os.close(self._terminal)
 
     def type(self, command: str) -> Typed:
-        """Type a command into the shell, and wait until it has ended."""
+        """Type a command into the shell, and wait until it ends."""
         shell = self._shell
         if shell is None or shell.stdin is None:
             raise RuntimeError("a home must be entered before commands are typed: with Home(folder) as home")
-        # In braces a command may change the shell, as `source` does; what it prints ends with its exit code.
+        # Braces run it in the shell itself (as `source` needs). The exit code, between two \001, marks the end.
         shell.stdin.write(f"{{ {command}\n}} </dev/null; printf '\\001%d\\001' $?\n".encode())
         shell.stdin.flush()
         began = last = time.monotonic()
         silent, printed = 0.0, b""
-        while not (ended := re.search(rb"\001(\d+)\001", printed)) and (piece := _piece(self._ours)):
+        while not (ended := re.search(rb"\001(\d+)\001", printed)) and (chunk := _read(self._terminal)):
             silent, last = max(silent, time.monotonic() - last), time.monotonic()
-            printed += piece
+            printed += chunk
         text = shown(printed.partition(b"\001")[0].decode(errors="replace")).replace(str(self.folder), "~")
         code = int(ended[1]) if ended else -1
         done = Typed(command, text.rstrip(), code, time.monotonic() - began, silent)
@@ -92,16 +92,16 @@ class Home:
         return done
 
 
-def _piece(terminal: int) -> bytes:
-    """Return what was printed, or nothing when the shell has ended."""
+def _read(terminal: int) -> bytes:
+    """Return the next output, empty if the shell has ended."""
     try:
         return os.read(terminal, 65536)
-    except OSError:  # how Linux says that nobody has the other end
+    except OSError:  # on Linux: the other end is closed
         return b""
 
 
 def shown(printed: str) -> str:
-    r"""Return what stays on a terminal: no escapes, and of a line that was written anew the last.
+    r"""Return the text that remains on a terminal: no escapes, and only the last version of an overwritten line.
 
     >>> shown("at work\r\x1b[Kdone\r\nnext\r\n")
     'done\nnext\n'
@@ -111,7 +111,7 @@ def shown(printed: str) -> str:
 
 
 def readme_commands() -> list[str]:
-    """Return the lines of the README's shell blocks, without comments."""
+    """Return the commands of the README's shell blocks, without comments."""
     blocks = re.findall(
         r"^```sh\n(.*?)^```", (ROOT / "README.md").read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL
     )
@@ -119,21 +119,21 @@ def readme_commands() -> list[str]:
 
 
 def faults(typed: Typed, cwd: Path) -> list[str]:
-    """Return what is wrong with a command: its exit code, a traceback, or a file that it names and did not write."""
-    found = [f"exit code {typed.code}"] if typed.code else []
-    found += ["a traceback"] if "Traceback (most recent call last)" in typed.output else []
+    """Return the faults of a command: a nonzero exit code, a traceback, files that it named but did not write."""
+    problems = [f"exit code {typed.code}"] if typed.code else []
+    problems += ["a traceback"] if "Traceback (most recent call last)" in typed.output else []
     named = re.findall(r"→ (\S+)$", typed.output, re.MULTILINE)
-    found += [f"{name} is not there" for name in named if not (cwd / name).exists()]
-    return [f"{typed.command}: {one}" for one in found]
+    problems += [f"{name} is not there" for name in named if not (cwd / name).exists()]
+    return [f"{typed.command}: {problem}" for problem in problems]
 
 
 def instead(command: str, given: Sequence[str] | None, python: str) -> list[str]:
-    """Return what is typed in place of a command of the README.
+    """Return the commands to type in place of a command of the README.
 
     Args:
-        command: as the README has it.
-        given: wheels that are installed in place of a checkout; None takes the README at its word.
-        python: the Python that the user has.
+        command: the README's command.
+        given: wheels to install in place of a checkout; None to follow the README.
+        python: the user's Python.
 
     >>> instead("make demo", ["~/a.whl", "~/b.whl"], "python3")
     ['python3 -m venv .venv', '.venv/bin/pip install --disable-pip-version-check ~/a.whl']
@@ -148,7 +148,7 @@ def instead(command: str, given: Sequence[str] | None, python: str) -> list[str]
 
 
 def one_hour(wheel: Path | None, python: str) -> tuple[Home, list[str]]:
-    """Run the first hour in a new home, in one shell; return it and what went wrong."""
+    """Run the first hour in a new home; return the home and the faults."""
     home = Home(Path(tempfile.mkdtemp(prefix="home")), f"{Path(python).parent}:/usr/local/bin:/usr/bin:/bin")
     work, wrong = home.folder / "viewshed", []
     work.mkdir()
@@ -157,14 +157,14 @@ def one_hour(wheel: Path | None, python: str) -> tuple[Home, list[str]]:
         archived = subprocess.run(["git", "archive", "HEAD"], cwd=ROOT, check=True, capture_output=True).stdout
         subprocess.run(["tar", "x"], input=archived, cwd=work, check=True)
     else:
-        wheels = sorted(wheel.parent.glob("*.whl"))  # that of the laboratory lies beside it
-        given = [f"~/{each.name}" for each in wheels]
-        for each in wheels:
-            shutil.copy2(each, home.folder)
-    commands = [each for command in readme_commands() for each in instead(command, given, Path(python).name)]
+        wheels = sorted(wheel.parent.glob("*.whl"))  # with the laboratory's wheel beside it
+        given = [f"~/{file.name}" for file in wheels]
+        for file in wheels:
+            shutil.copy2(file, home.folder)
+    commands = [line for command in readme_commands() for line in instead(command, given, Path(python).name)]
     own = ["viewshed info demo/sweep.pcd.bin.gz", "viewshed compare demo/sweep.pcd.bin.gz --out demo/compare.png",
            "viewshed export demo/sweep.pcd.bin.gz --to nav2_map --out demo", "viewshed"]  # fmt: skip
-    if wheel is not None:  # the laboratory's wheel has all that the published cases need
+    if wheel is not None:  # the laboratory's wheel has all that `study cases` needs
         own.append("viewshed study cases --scenes 1 --page demo/cases.md")
     with home:
         home.type("cd viewshed")
@@ -174,36 +174,36 @@ def one_hour(wheel: Path | None, python: str) -> tuple[Home, list[str]]:
 
 
 def transcript(home: Home) -> str:
-    """Return what was typed and printed as Markdown."""
+    """Return the typed commands and their output as Markdown."""
     return "\n\n".join(
-        f"```console\n$ {one.command.replace(str(home.folder), '~')}\n{_shortened(one.output)}\n```\n\n"
-        f"{one.seconds:.1f} s, silent for {one.silent_s:.1f} s."
-        for one in home.typed
+        f"```console\n$ {typed.command.replace(str(home.folder), '~')}\n{_shortened(typed.output)}\n```\n\n"
+        f"{typed.seconds:.1f} s, silent for {typed.silent_s:.1f} s."
+        for typed in home.typed
     )
 
 
 def _shortened(output: str) -> str:
-    """Return what was printed, of an install only its last line."""
+    """Return the output; if it is long, as of an install, only its last line."""
     lines = output.splitlines()
-    return output if len(lines) <= _MOST_LINES else f"… {len(lines) - 1} lines …\n{lines[-1]}"
+    return output if len(lines) <= _MAX_LINES else f"… {len(lines) - 1} lines …\n{lines[-1]}"
 
 
 def main() -> int:
-    """Run the first hours and write the page; return the exit code."""
+    """Run the first hour some times and write the page; return the exit code."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--wheel", type=Path)
     parser.add_argument("--times", type=int, default=1)
-    parser.add_argument("--python", default=sys.executable, help="the Python that the user has")
+    parser.add_argument("--python", default=sys.executable, help="the user's Python")
     parser.add_argument("--page", type=Path)
     given = parser.parse_args()
     wrong: list[str] = []
     for number in range(given.times):
-        home, found = one_hour(given.wheel and given.wheel.resolve(), given.python)
-        wrong += found
-        silent = [one.command for one in home.typed if one.silent_s > SILENT_S]
-        print(f"time {number + 1} of {given.times}: {len(home.typed)} commands, {len(found)} wrong, "
+        home, problems = one_hour(given.wheel and given.wheel.resolve(), given.python)
+        wrong += problems
+        silent = [typed.command for typed in home.typed if typed.silent_s > SILENT_S]
+        print(f"time {number + 1} of {given.times}: {len(home.typed)} commands, {len(problems)} wrong, "
               f"{len(silent)} silent for more than {SILENT_S:g} s {silent or ''}", flush=True)  # fmt: skip
-        print("\n".join(found), flush=True)
+        print("\n".join(problems), flush=True)
         shutil.rmtree(home.folder, ignore_errors=True)
     if given.page:
         load = f"{os.getloadavg()[1]:.0f} in the five minutes before the end, on {os.cpu_count()} cores"

@@ -1,4 +1,4 @@
-"""Fit the network that calibrates the probability that a cell is visible, from its beam evidence.
+"""Fit the network that calibrates the probability of visible from the beam evidence of a cell and of its sweep.
 
     python tools/fit_calibration.py make learning road --scenes 0:900 --out cells
     python tools/fit_calibration.py make training road --scenes 0:200 --out cells
@@ -8,10 +8,11 @@
     python tools/fit_calibration.py fit cells --out packages/viewshed/src/core/calibration_network.inc
     python tools/fit_calibration.py judge --page docs/results
 
-``make`` writes one file for 10 scenes and goes on where it was stopped. ``fit`` keeps the last scenes of each file for
-validation, and writes the network as C++, which is compiled into the core; each part of each set has the same total
-weight. The scenes of ``own`` that the study of the wild scores (the first 40 and 16), the development and the sealed
-set are not used. ``judge`` writes the page of results on the former two, after the core is compiled.
+``make`` writes one file for every 10 scenes and resumes where it was stopped. ``fit`` holds back the last scenes of
+each file for validation, weights each domain of each set equally, and writes the network as C++, which is compiled into
+the core. The scenes of ``own`` that the study of the wild judges (the first 40 and 16), the development set and the
+sealed set are not used. ``judge``, run after the core is compiled, writes the page of the calibration and of what is
+guessed, on the development set and on the judged scenes of ``own``.
 """
 
 from __future__ import annotations
@@ -68,19 +69,19 @@ returns, against the standard deviation that the estimate states."""
 STYLES = "Results by style of world, pooled over all scenes of a style, rings given."
 
 FAR_M = 64.0
-"""Beyond this range are only the corners of the road grid."""
+"""Range beyond which only the corners of the road grid lie."""
 
 CELLS_OF_SWEEP, BATCH, RATE, DECAY, UNITS = 400, 4096, 8e-3, 0.05, 16
 HELD_SHARE = 0.12
-MOST_SWEEP_DEVIATIONS = 2.0
-"""Bound of the standardized features of the sweep, as in the core."""
+MAX_SWEEP_DEVIATIONS = 2.0
+"""Limit at which standardized features of the sweep are clipped, as in the core."""
 
 OTHER_SHARE = 0.3
-"""Share of the sweeps that are also used with the target of the other grid."""
+"""Share of the sweeps that are also sampled with the target of the other grid."""
 
 
 def make_file(folder: Path, scenes: list[WildScene]) -> None:
-    """Write features (K, F) of random cells, and whether they are visible (K,), into one file of a folder."""
+    """Write features (K, F) and visibility (K,) of randomly sampled cells of some scenes into one file of a folder."""
     path = folder / f"{scenes[0].name.rsplit('-', 1)[0]}-{len(scenes)}.npz"
     if path.exists():
         return
@@ -94,56 +95,56 @@ def make_file(folder: Path, scenes: list[WildScene]) -> None:
             for name, target in TARGETS.items():
                 is_own = (name == "car") == (scene.domain.name == "road")
                 if (is_own or rng.random() < OTHER_SHARE) and len(known):
-                    some = rng.choice(known, min(CELLS_OF_SWEEP, len(known)), replace=False)
+                    sampled = rng.choice(known, min(CELLS_OF_SWEEP, len(known)), replace=False)
                     maps = cell_features(leveled, beam_evidence(leveled, grid, target))
-                    features.append(maps.reshape(len(maps), -1)[:, some].T)
-                    visible.append(seen.truth.visible(target).ravel()[some])
+                    features.append(maps.reshape(len(maps), -1)[:, sampled].T)
+                    visible.append(seen.truth.visible(target).ravel()[sampled])
     write_part(path, feature=np.concatenate(features), visible=np.concatenate(visible))
 
 
 class CalibrationNet(nn.Module):
-    """Two layers on standardized features (B, F), cut off as the core cuts them; returns logits (B,).
+    """Map features (B, F) to logits (B,): standardize, clip as the core does, two layers.
 
-    The first half of the features is a cell's own, the others are of its sweep.
+    The first half of the features belongs to a cell, the second half to its sweep.
     """
 
     mean: torch.Tensor
     scale: torch.Tensor
-    most: torch.Tensor
+    limit: torch.Tensor
 
     def __init__(self, mean: torch.Tensor, scale: torch.Tensor) -> None:
         super().__init__()
         self.register_buffer("mean", mean)
         self.register_buffer("scale", scale)
-        of_cell = torch.arange(len(mean)) < len(mean) // 2
-        self.register_buffer("most", torch.where(of_cell, MAX_DEVIATIONS, MOST_SWEEP_DEVIATIONS))
+        is_of_cell = torch.arange(len(mean)) < len(mean) // 2
+        self.register_buffer("limit", torch.where(is_of_cell, MAX_DEVIATIONS, MAX_SWEEP_DEVIATIONS))
         self.first, self.second = nn.Linear(len(mean), UNITS), nn.Linear(UNITS, 1)
 
     def forward(self, feature: torch.Tensor) -> torch.Tensor:
         """Return logits (B,) for features (B, F)."""
-        inputs = ((feature - self.mean) * self.scale).clamp(-self.most, self.most)
+        inputs = ((feature - self.mean) * self.scale).clamp(-self.limit, self.limit)
         logit: torch.Tensor = self.second(torch.relu(self.first(inputs)))[:, 0]
         return logit
 
     def source(self) -> str:
-        """Return the numbers of the network as C++."""
+        """Return the network's weights as C++ source."""
         first, second = self.first, self.second
         arrays = {
             "mean": self.mean, "scale": self.scale, "first": first.weight.T, "first_bias": first.bias,
             "second": second.weight.T, "second_bias": second.bias,
         }  # fmt: skip
-        return source_of({name: np.ascontiguousarray(one.detach().numpy()) for name, one in arrays.items()})
+        return source_of({name: np.ascontiguousarray(array.detach().numpy()) for name, array in arrays.items()})
 
 
 def fit(given: argparse.Namespace) -> None:
-    """Fit the network to all cells of a folder, write it, and print how well it is calibrated on scenes held back."""
+    """Fit the network to the cells of a folder, write it, and print its calibration on the scenes held back."""
     paths = parts_in(given.folder)
     files = [np.load(path) for path in paths]
     feature = torch.tensor(np.concatenate([file["feature"] for file in files]))
     visible = torch.tensor(np.concatenate([file["visible"] for file in files]).astype(np.float32))
     sizes = [len(file["visible"]) for file in files]
     held = torch.tensor(np.concatenate([np.arange(size) >= (1 - HELD_SHARE) * size for size in sizes]))
-    # Each part of each set has the same total weight.
+    # Weight each domain of each set equally.
     parts = ["-".join(path.name.split("-")[:2]) for path in paths]
     cells = {part: sum(size for size, of in zip(sizes, parts, strict=True) if of == part) for part in parts}
     shares = [sum(sizes) / len(cells) / cells[part] for part in parts]
@@ -162,14 +163,14 @@ def fit(given: argparse.Namespace) -> None:
         pass
     given.out.write_text(net.source(), encoding="ascii")
     with torch.no_grad():
-        said, there = torch.sigmoid(net(feature[held])).numpy(), visible[held].numpy()
-    bins = np.minimum((said * 10).astype(int), 9)
-    text = " ".join(f"{said[bins == b].mean():.2f}/{there[bins == b].mean():.2f}" for b in np.unique(bins))
-    print(f"{len(own)} cells fitted, {len(said)} held back; said/visible {text}")
+        predicted, actual = torch.sigmoid(net(feature[held])).numpy(), visible[held].numpy()
+    bins = np.minimum((predicted * 10).astype(int), 9)
+    text = " ".join(f"{predicted[bins == b].mean():.2f}/{actual[bins == b].mean():.2f}" for b in np.unique(bins))
+    print(f"{len(own)} cells fitted, {len(predicted)} held back; said/visible {text}")
 
 
 def prior_figures(seen: WildObservation, evidence: BeamEvidence, estimate: FovEstimate) -> dict[str, int]:
-    """Return numbers of cells: what is claimed by inferred beams alone, missed, and beyond ``FAR_M``, and of these."""
+    """Count cells claimed, claimed by inferred beams alone, missed, and beyond ``FAR_M``, with their subsets."""
     grid, target = estimate.grid, estimate.target
     range_m = polar_of_cells(grid)[0]
     known, true, claimed = seen.known & (range_m <= reach_of(seen)), seen.truth.visible(target), estimate.visible()
@@ -187,7 +188,7 @@ def prior_figures(seen: WildObservation, evidence: BeamEvidence, estimate: FovEs
 
 
 def table_of_priors(every: Pool, unseen: dict[str, pd.DataFrame]) -> str:
-    """Return the figures of what is guessed beside their targets, by part of the scenes."""
+    """Return the table of figures on what is guessed, with their targets, by domain and set."""
     pools = [every.of(set_name=name, domain=domain) for name, domain in CASES]
     sure = [ground[ground["std_m"] <= SURE_GROUND_M]["off_m"] for ground in unseen.values()]
 
@@ -209,7 +210,7 @@ def table_of_priors(every: Pool, unseen: dict[str, pd.DataFrame]) -> str:
 
 
 def table_of_styles(every: Pool) -> str:
-    """Return precision, recall and F1 of each style of world."""
+    """Return the table of precision, recall and F1 by style of world."""
     lines = []
     for set_name, domain in CASES:
         part = every.of(set_name=set_name, domain=domain)
@@ -222,7 +223,7 @@ def table_of_styles(every: Pool) -> str:
 
 
 def judge(given: argparse.Namespace) -> None:
-    """Write the page: how well the probability is calibrated, beside that of counting alone, and what is guessed."""
+    """Write the page: calibration of the probability, compared with counting alone, and what is guessed."""
     rows, ground = [], {f"{domain}, {name}": list[pd.DataFrame]() for name, domain in CASES}
     for set_name, domain in CASES:
         target = PARTS[domain]
@@ -270,16 +271,16 @@ def judge(given: argparse.Namespace) -> None:
 
 
 def make(given: argparse.Namespace) -> None:
-    """Write the cells of a set."""
+    """Write sampled cells of the scenes of a set."""
     first, last = map(int, given.scenes.split(":"))
-    domain = next(one for one in wild_tables().of_set(given.set) if one.name == given.domain)
+    domain = next(domain for domain in wild_tables().of_set(given.set) if domain.name == given.domain)
     if given.set == "own" and first < domain.scenes:
         raise SystemExit(f"--scenes must begin at {domain.scenes} or later for own: those before are judged")
     make_files(given.out, [WildScene(domain, number) for number in range(first, last)], make_file)
 
 
 def main(words: Sequence[str] | None = None) -> None:
-    """Do what the command line says."""
+    """Run the step that the command line names."""
     parser, steps = parser_of("fit_calibration.py", __doc__, ("learning", "training", "own"), make, fit)
     step = steps.add_parser("judge")
     step.set_defaults(work=judge)

@@ -1,7 +1,7 @@
-// libviewshed called with whatever bytes say, under sanitizers: make fuzz-library
+// Fuzz libviewshed under sanitizers: make fuzz-library
 //
-// The bytes choose calls, options, steps and points: sizes that do not fit, streams that are closed twice, points of any value.
-// Every call must answer with a status. What is claimed to be memory is memory: more cannot be asked of C.
+// The input bytes choose calls, options, steps and points: sizes that do not fit, streams closed twice, points of any value.
+// Every call must return a status. Pointers and sizes given as memory are always valid: a C interface cannot check them.
 #include <cstdint>
 #include <cstring>
 #include <limits>
@@ -11,7 +11,7 @@
 
 namespace {
 
-// What is left of the input.
+// The rest of the input.
 struct Bytes {
     const std::uint8_t* data;
     std::size_t size;
@@ -24,7 +24,7 @@ struct Bytes {
         data += count, size -= count;
         return value;
     }
-    // Mostly a usual value, else any.
+    // The usual value, or in one of four cases any value.
     double number(double usual) { return take<std::uint8_t>() % 4 == 0 ? take<double>() : usual; }
 };
 
@@ -34,7 +34,7 @@ struct Bytes {
 
 extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size) {
     Bytes bytes{data, size};
-    // 1. A stream of a small grid; one that is refused leaves none.
+    // 1. Open a stream for a small grid; a refused one must leave no stream.
     viewshed_options options = viewshed_defaults();
     static const char* const SENSORS[] = {nullptr, "none", "vlp16", "HDL-32E", "mid360", "no such", ""};
     options.cells = bytes.take<std::uint8_t>() % 40;
@@ -52,7 +52,7 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
     std::vector<float> prob(cells + 1);
     viewshed_basis basis;
 
-    // 2. Calls of any order, with sweeps of what is left.
+    // 2. Calls in any order, with sweeps made of the remaining bytes.
     std::size_t corners = 0, rings = 0;
     std::vector<double> corner_m(2 * 256);
     std::vector<std::int64_t> begin(65);
@@ -69,7 +69,7 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
         sweep.point_step = which % 4 == 0 ? 0 : 12 + bytes.take<std::uint8_t>() % 8;
         const std::size_t step = sweep.point_step == 0 ? 12 : sweep.point_step;
         const std::size_t here = bytes.size < 6000 ? bytes.size : 6000;
-        // A copy of its own, as long as the sweep says: a sanitizer sees each byte too many.
+        // Copy exactly the bytes that the sweep states, so that the sanitizer reports every read beyond them.
         std::vector<std::uint8_t> points(bytes.data, bytes.data + here);
         sweep.count = here / step;
         sweep.points = points.data();
@@ -94,7 +94,7 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
         sweep.count = bytes.take<std::uint64_t>() | std::uint64_t{1} << 40;
         if (viewshed_estimate(stream, &sweep, state.data(), nullptr, cells, &basis) == VIEWSHED_OK) fail();
     }
-    // 3. Streams end once.
+    // 3. A stream can be closed only once.
     viewshed_close(stream);
     if (viewshed_close(stream) == VIEWSHED_OK || viewshed_error()[0] == '\0') fail();
     return 0;

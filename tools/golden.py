@@ -1,12 +1,11 @@
-"""Golden files: what the package answers today, against which a rebuilt one is checked.
+"""Record the package's results as golden files, or compare the present results with them.
 
-python tools/golden.py record [arrays shards published tiny]    writes them anew; all parts if none is named
-python tools/golden.py check [arrays shards published tiny]     lists what differs; exit code 1 if anything does
+python tools/golden.py record [arrays shards published tiny]    writes them; all parts if none is named
+python tools/golden.py check [arrays shards published tiny]     lists differences; exit code 1 if there is one
 
-``tables`` names both published and tiny. ``arrays`` needs the real sweeps: VIEWSHED_REAL_DATA is their
-folder, else ``shared/data`` beside the checkout.
-``tiny`` runs every study on its tiny plan, which takes minutes; three of its pages come from networks trained on the
-spot, so that another processor or another torch may give other figures there.
+``tables`` stands for published and tiny. ``arrays`` needs the real sweeps, in the folder VIEWSHED_REAL_DATA or else in
+``shared/data`` beside the checkout. ``tiny`` runs every study on its tiny plan, which takes minutes; three of its pages
+come from networks trained in the run, so their figures may differ with another processor or torch.
 """
 
 from __future__ import annotations
@@ -34,8 +33,8 @@ def main() -> int:
     unknown = set(names) - set(parts.PARTS)
     if unknown:
         parser.error(f"PART must be among {', '.join(parts.PARTS)}, got {', '.join(sorted(unknown))}")
-    beside = ROOT.parent / "shared" / "data"
-    folder = os.environ.get("VIEWSHED_REAL_DATA") or (str(beside) if beside.is_dir() else None)
+    shared = ROOT.parent / "shared" / "data"
+    folder = os.environ.get("VIEWSHED_REAL_DATA") or (str(shared) if shared.is_dir() else None)
     differing = 0
     for name in names:
         start = time.perf_counter()

@@ -1,4 +1,4 @@
-"""Small valid recordings of every layout, for tests of links and damage, and for fuzzing."""
+"""Build small valid recordings of every layout, for tests with links and damage, and for fuzzing."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ vehicle_base:
 
 
 def nuscenes() -> Files:
-    """Return one keyframe and one sweep of nuScenes with a box."""
+    """Return a nuScenes scene of one keyframe and one sweep, with a box."""
     still = {"rotation": [1.0, 0.0, 0.0, 0.0], "translation": [0.9, 0.0, 1.84]}
     names = [f"samples/LIDAR_TOP/a__LIDAR_TOP__15315555555555{number:02d}.pcd.bin" for number in range(2)]
     box = {"translation": [5.0, 1.0, 0.8], "rotation": [0.0, 0.0, 0.0, 1.0], "size": [1.9, 4.6, 1.7]}
@@ -66,7 +66,7 @@ def nuscenes() -> Files:
 
 
 def kitti_raw() -> Files:
-    """Return a drive of two sweeps with inertial records and a tracklet."""
+    """Return a KITTI raw drive of two sweeps, with OXTS records and a tracklet."""
     drive = "2011_09_26/2011_09_26_drive_0001_sync"
     return {
         "2011_09_26/calib_imu_to_velo.txt": b"R: 1 0 0 0 1 0 0 0 1\nT: 0.8 -0.3 0.8\n",
@@ -78,7 +78,7 @@ def kitti_raw() -> Files:
 
 
 def kitti_odometry() -> Files:
-    """Return a sequence of one sweep with its pose."""
+    """Return a KITTI odometry sequence of one sweep, with its pose."""
     return {
         "sequences/00/velodyne/000000.bin": KITTI, "sequences/00/times.txt": b"0.5\n",
         "sequences/00/calib.txt": f"Tr: {RIGID_LINE}\n".encode(), "poses/00.txt": f"{RIGID_LINE}\n".encode(),
@@ -86,7 +86,7 @@ def kitti_odometry() -> Files:
 
 
 def kitti_object() -> Files:
-    """Return one sweep of the object set with a label."""
+    """Return one sweep of the KITTI object set, with a label."""
     calibration = f"R0_rect: 1 0 0 0 1 0 0 0 1\nTr_velo_to_cam: {RIGID_LINE}\n"
     label = "Car 0 0 0 0 0 50 50 1.5 1.6 4.0 1.0 1.6 8.0 0.3\n"
     return {
@@ -96,7 +96,7 @@ def kitti_object() -> Files:
 
 
 def opv2v() -> Files:
-    """Return one sweep of a car in OPV2V's layout, with a vehicle and its protocol."""
+    """Return one sweep of a car in OPV2V's layout, with a labeled vehicle and the protocol."""
     points = pcd(text(np.column_stack((POINTS, INTENSITY))), "ascii")
     return {
         "s/641/000068.pcd": points, "s/641/000068.yaml": OPV2V.encode(), "s/data_protocol.yaml": PROTOCOL.encode(),
@@ -104,7 +104,7 @@ def opv2v() -> Files:
 
 
 def carla() -> Files:
-    """Return one sweep of a CARLA recording with pose, sensor and actor."""
+    """Return one sweep of a CARLA recording, with pose, sensor and actor."""
     actor = {
         "id": 3, "type": "vehicle", "x": 8, "y": 3, "z": 0.7, "roll": 0, "pitch": 0, "yaw": 30, "extent": [2, 1, 1],
     }  # fmt: skip
@@ -119,7 +119,7 @@ def carla() -> Files:
 
 
 def feather(**columns: Any) -> bytes:
-    """Return a feather file of columns."""
+    """Return a feather file with these columns."""
     import pyarrow as pa
     from pyarrow import feather as arrow
 
@@ -146,7 +146,7 @@ def argoverse2() -> Files:
 
 
 def cloud(ros1: bool) -> tuple[Any, bytes]:
-    """Return a type store, and a PointCloud2 of :data:`POINTS` as it writes it."""
+    """Return a type store, and a PointCloud2 of :data:`POINTS` serialized with it."""
     from rosbags.typesys import Stores, get_typestore
 
     store: Any = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_FOXY)
@@ -178,7 +178,7 @@ def ros1_bag(packing: str = "") -> bytes:
 
 
 def db3(statements: tuple[str, ...] = (), raw: bytes | None = None) -> bytes:
-    """Return a SQLite file of ROS 2 with two clouds; further statements may spoil it."""
+    """Return a ROS 2 bag (SQLite) of two clouds; further statements may damage it."""
     raw = cloud(ros1=False)[1] if raw is None else raw
     with TemporaryDirectory() as folder:
         path = Path(folder) / "a.db3"
@@ -211,7 +211,7 @@ def mcap(packing: str = "ZSTD") -> bytes:
 
 
 def recordings() -> dict[str, Files]:
-    """Return the files of a small recording of every kind, by a name of its own."""
+    """Return the files of a small recording of every kind, by a unique name."""
     return {
         "nuscenes": nuscenes(), "kitti_raw": kitti_raw(), "kitti_odometry": kitti_odometry(),
         "kitti_object": kitti_object(), "opv2v": opv2v(), "carla": carla(), "argoverse2": argoverse2(),
@@ -230,6 +230,6 @@ def write(folder: Path, files: Files) -> Path:
 
 @contextmanager
 def written(files: Files) -> Iterator[Path]:
-    """Give the folder of a recording, and remove it at the end."""
+    """Yield the folder of a recording, and remove it at the end."""
     with TemporaryDirectory() as folder:
         yield write(Path(folder), files)

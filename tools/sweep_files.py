@@ -1,4 +1,4 @@
-"""Small valid files of every format, made byte by byte from the formats' descriptions, for tests and for fuzzing."""
+"""Build small valid files of every format byte by byte from the format specifications, for tests and fuzzing."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ POINTS = np.array(
     [[5.0, 1.0, -1.5], [8.0, -2.0, -1.0], [3.0, 4.0, 0.0], [-6.0, 2.5, 0.5], [-7.0, -3.0, 1.0], [0.5, 9.0, 2.0]],
     dtype=np.float32,
 )
-"""(6, 3) float32 meters: asymmetric, elevation ascends from row to row."""
+"""(6, 3) float32 meters: asymmetric, with elevations that ascend from row to row."""
 INTENSITY = np.array([10, 20, 30, 40, 50, 60], dtype=np.float32)
 
 
 @dataclass(frozen=True, slots=True)
 class SampleFile:
-    """A file: the format it is of, its name, its bytes, and the files beside it."""
+    """A file: format, name, content, and contents of the files beside it by name."""
 
     format: str
     name: str
@@ -35,12 +35,12 @@ class SampleFile:
 
 
 def rows(*columns: NDArray[np.generic], order: str = "<") -> bytes:
-    """Return columns as rows of float32."""
+    """Return columns as the bytes of float32 rows."""
     return np.column_stack(columns).astype(order + "f4").tobytes()
 
 
 def pcd(body: bytes, data: str, fields: str = "x y z intensity", count: int = 6) -> bytes:
-    """Return a PCD file of float32 fields with this body."""
+    """Return a PCD file with this body and a header of float32 fields."""
     width = len(fields.split())
     header = (
         f"# .PCD v0.7 - Point Cloud Data file format\nVERSION 0.7\nFIELDS {fields}\nSIZE {'4 ' * width}\n"
@@ -51,7 +51,7 @@ def pcd(body: bytes, data: str, fields: str = "x y z intensity", count: int = 6)
 
 
 def lzf_packed(data: bytes) -> bytes:
-    """Return an LZF stream: runs of equal bytes as back references of distance 1, the rest as literals."""
+    """Return data as an LZF stream: runs of equal bytes are back references of distance 1, the rest are literals."""
     packed = bytearray()
     at = 0
     while at < len(data):
@@ -75,7 +75,7 @@ def pcd_compressed(table: NDArray[np.float32]) -> bytes:
 
 
 def ply(body: bytes, order: str, count: int = 6) -> bytes:
-    """Return a PLY file of x, y, z, I with this body."""
+    """Return a PLY file with this body and a header of x, y, z, I."""
     header = (
         f"ply\nformat {order} 1.0\ncomment a comment\nelement vertex {count}\nproperty float x\nproperty float32 y\n"
         "property float z\nproperty float I\nelement face 0\nproperty list uchar int vertex_indices\nend_header\n"
@@ -84,7 +84,7 @@ def ply(body: bytes, order: str, count: int = 6) -> bytes:
 
 
 def text(table: NDArray[np.float32]) -> bytes:
-    """Return rows of numbers as text."""
+    """Return a table as lines of text."""
     return "".join(" ".join(f"{value:.4f}" for value in row) + "\n" for row in table).encode()
 
 
@@ -103,7 +103,7 @@ def npz(**arrays: NDArray[np.generic]) -> bytes:
 
 
 def feather(compression: str = "lz4", repeats: int = 1) -> bytes:
-    """Return an Argoverse 2 sweep of :data:`POINTS`, repeated, in the car's frame; lasers are in no order."""
+    """Return an Argoverse 2 sweep of repeated :data:`POINTS` in the car's frame; laser numbers are not sorted."""
     import pyarrow as pa
     from pyarrow import feather as arrow
 
@@ -121,7 +121,7 @@ def feather(compression: str = "lz4", repeats: int = 1) -> bytes:
 
 
 def vlp16_payload(start_deg: float, step_deg: float, distance_m: float, product: int = 0x22) -> bytes:
-    """Return a VLP-16 data packet: 12 blocks that begin at an azimuth (clockwise), every beam at one distance."""
+    """Return a VLP-16 data packet: 12 blocks from an azimuth on (clockwise), with all beams at one distance."""
     payload = bytearray()
     for block in range(12):
         centidegrees = round(100 * (start_deg + block * step_deg)) % 36_000
@@ -131,7 +131,7 @@ def vlp16_payload(start_deg: float, step_deg: float, distance_m: float, product:
 
 
 def vlp16_turns(turns: float = 2.3, distance_m: float = 5.0) -> list[bytes]:
-    """Return the packets of some turns of a VLP-16."""
+    """Return the packets of some revolutions of a VLP-16."""
     step_deg = 2.4
     packets = int(turns * 360 / (12 * step_deg))
     return [vlp16_payload(index * 12 * step_deg, step_deg, distance_m) for index in range(packets)]
@@ -159,7 +159,7 @@ def fragments(payload: bytes, number: int = 7) -> list[bytes]:
 
 
 def pcap(frames: list[bytes], order: str = "<") -> bytes:
-    """Return a capture of Ethernet frames, one a millisecond from second 1000 on."""
+    """Return a pcap file of Ethernet frames, one per millisecond from second 1000 on."""
     capture = bytearray(struct.pack(order + "IHHiIII", 0xA1B2C3D4, 2, 4, 0, 0, 65_535, 1))
     for index, frame in enumerate(frames):
         capture += struct.pack(order + "IIII", 1000, 1000 * index, len(frame), len(frame)) + frame
@@ -171,7 +171,7 @@ OUSTER_OFFSETS_DEG = [(-4.0, -1.5, 1.5, 4.0)[row % 4] for row in range(32)]
 
 
 def ouster_metadata(columns: int = 64) -> bytes:
-    """Return metadata of an imagined Ouster sensor of 32 beams."""
+    """Return metadata of an invented Ouster sensor of 32 beams."""
     identity = np.eye(4).ravel().tolist()
     layout = {
         "column_window": [0, columns - 1], "columns_per_frame": columns, "columns_per_packet": 16,
@@ -192,7 +192,7 @@ def ouster_metadata(columns: int = 64) -> bytes:
 
 
 def ouster_payloads(frames: int = 1, columns: int = 64) -> list[bytes]:
-    """Return lidar packets of some revolutions; frame f has every beam at 5000 + 1000 f millimeters."""
+    """Return Ouster lidar packets of some revolutions; all beams of frame f are at 5000 + 1000 f millimeters."""
     payloads: list[bytes] = []
     for frame in range(1, frames + 1):
         pixels = struct.pack("<IHHHH", 4000 + 1000 * frame, 0, 0, 0, 0) * 32
@@ -207,7 +207,7 @@ def ouster_payloads(frames: int = 1, columns: int = 64) -> list[bytes]:
 def las(
     points: NDArray[np.float64], intensity: NDArray[np.generic], offset: tuple[float, ...] = (0.0, 0.0, 0.0)
 ) -> bytes:
-    """Return a LAS 1.2 file of point format 0: whole millimeters from an offset."""
+    """Return a LAS 1.2 file of point format 0, with coordinates in millimeters relative to an offset."""
     low, high = points.min(axis=0), points.max(axis=0)
     bounds = [number for axis in range(3) for number in (high[axis], low[axis])]
     header = struct.pack(
@@ -222,7 +222,7 @@ def las(
 
 
 def sample_sweep() -> Sweep:
-    """Return a sweep with every attribute but a model."""
+    """Return a sweep with every attribute set except the model."""
     return Sweep(
         POINTS, INTENSITY, ring=np.arange(6, dtype=np.int16), azimuth=np.arange(6) * 0.5,
         time_s=np.arange(6) * 0.01, t_ns=12, attitude=np.array([1.0, 0, 0, 0]), sensor_height_m=1.8,
@@ -231,14 +231,14 @@ def sample_sweep() -> Sweep:
 
 
 def written_npz(sweep: Sweep) -> bytes:
-    """Return the NPZ file that this package writes."""
+    """Return a sweep as the NPZ file that viewshed writes."""
     with TemporaryDirectory() as folder:
         write_sweep(sweep, Path(folder) / "a.npz")
         return (Path(folder) / "a.npz").read_bytes()
 
 
 def samples() -> dict[str, SampleFile]:
-    """Return a small valid file of every kind that the readers know, by a name of its own."""
+    """Return a small valid file of every kind that the readers accept, by a unique name."""
     table = np.column_stack((POINTS, INTENSITY))
     turns = vlp16_turns()
     files = {

@@ -1,4 +1,4 @@
-"""Run by Python at its start where this folder is on its path: an editable install is not found before PYTHONPATH."""
+"""Drop scikit-build's import hooks at Python's start, so that PYTHONPATH wins over an editable install."""
 
 import sys
 

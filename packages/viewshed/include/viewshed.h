@@ -1,11 +1,12 @@
-/* libviewshed: what a LiDAR sweep can see, cell by cell, from C. The same stages as the Python package, and the same answers.
+/* libviewshed: C interface that estimates which cells of a grid a LiDAR sweep can see. The stages and the results are those
+ * of the Python package.
  *
- * A stream is opened for a grid, a target and a sensor, is given sweeps, and is closed. Frames: points in the sensor's own frame
- * (x forward, y left, z up, the sensor at the origin), answers in the level frame (upright, below the sensor, heading of the
- * sensor's x). Cell (i, j) of a grid stands at i * cells + j, i forward and j left.
+ * Open a stream for a grid, a target and a sensor, give it sweeps, and close it. Points are in the sensor's frame (x forward,
+ * y left, z up, the sensor at the origin). Results are in the level frame (upright, origin on the ground below the sensor,
+ * heading of the sensor's x). Cell (i, j) of a grid is at index i * cells + j, i forward and j left.
  *
- * Every function returns a viewshed_status and never throws, aborts or keeps a pointer of the caller. All may be called from
- * any thread; calls for one stream wait for each other. */
+ * No function throws, aborts or keeps a pointer of the caller; those that can fail return a viewshed_status. All may be called
+ * from any thread; calls for one stream wait for each other. */
 #ifndef VIEWSHED_H
 #define VIEWSHED_H
 
@@ -24,64 +25,64 @@ extern "C" {
 
 typedef enum {
     VIEWSHED_OK = 0,
-    VIEWSHED_ERROR_ARGUMENT = 1, /* viewshed_error() says which, the rule, and what was given */
+    VIEWSHED_ERROR_ARGUMENT = 1, /* viewshed_error() names the argument, the rule and the value */
     VIEWSHED_ERROR_STREAM = 2,   /* the stream was never opened, or is closed */
-    VIEWSHED_ERROR_ROOM = 3,     /* an array is too short; the counts say what is needed */
+    VIEWSHED_ERROR_ROOM = 3,     /* an array is too short; the counts give the required sizes */
     VIEWSHED_ERROR_MEMORY = 4,
-    VIEWSHED_ERROR_INTERNAL = 5  /* a fault of the library */
+    VIEWSHED_ERROR_INTERNAL = 5  /* a bug in the library */
 } viewshed_status;
 
-/* What is known of a cell. Visible means FREE or SURFACE; UNKNOWN says nothing. */
+/* State of a cell. Visible means FREE or SURFACE; UNKNOWN makes no claim. */
 enum { VIEWSHED_UNKNOWN = 0, VIEWSHED_FREE = 1, VIEWSHED_SURFACE = 2, VIEWSHED_HIDDEN = 3 };
 
-/* Where the sensor's height is from. */
+/* Source of the sensor's height. */
 enum { VIEWSHED_HEIGHT_GIVEN = 0, VIEWSHED_HEIGHT_ESTIMATED = 1, VIEWSHED_HEIGHT_ASSUMED = 2 };
 
-/* A stream: a number, not an address, so that one that is closed is never mistaken for another. 0 is none. */
+/* Handle of a stream: a number, not an address, so that a closed stream is never mistaken for another. 0 is no stream. */
 typedef uint64_t viewshed_stream;
 
-/* What a stream is about. Set it up by viewshed_defaults(), then change what differs. */
+/* Settings of a stream. Initialize with viewshed_defaults(), then change what differs. */
 typedef struct {
-    uint32_t cells;         /* of a side, 1 to 4096; 256 */
+    uint32_t cells;         /* along one side, 1 to 4096; 256 by default */
     double half_extent_m;   /* half the side of the grid; 64 */
-    double offset_m[2];     /* of the grid's center from the sensor; 0, 0 */
-    double target_width_m;  /* the target that would have to be seen, a car: 1.8 */
-    double target_height_m; /* 1.5 */
-    uint32_t min_returns;   /* returns from which on it counts as seen; 5 */
-    const char *sensor;     /* its beam table ("vlp16", "hdl32e"), null: inferred from the points, or "none": not inferred */
+    double offset_m[2];     /* offset of the grid's center from the sensor; 0, 0 */
+    double target_width_m;  /* width of the target that must be seen; 1.8, a car */
+    double target_height_m; /* height of the target; 1.5 */
+    uint32_t min_returns;   /* minimum returns for a target to count as seen; 5 */
+    const char *sensor;     /* beam table ("vlp16", "hdl32e"); null to infer it from the points, "none" not to infer it */
 } viewshed_options;
 
-/* One revolution. Set it up by viewshed_no_sweep(), then name the points and what is known. */
+/* One revolution. Initialize with viewshed_no_sweep(), then set the points and what is known. */
 typedef struct {
-    size_t count;           /* of the points; at most 20 million */
-    const void *points;     /* x, y, z float32 in meters; rows that are not finite are left out */
-    size_t point_step;      /* bytes from a point to the next, 12 or more; 0 means 12 */
-    const void *ring;       /* uint16 beam of each point, 0 the lowest; or null: recovered from the points */
-    size_t ring_step;       /* bytes from a ring to the next, 2 or more; 0 means 2 */
-    const double *attitude; /* unit quaternion w, x, y, z of level_from_sensor, or null: estimated */
-    double sensor_height_m; /* above the ground below, or NaN: estimated */
-    double vehicle_yaw;     /* heading of the own vehicle from the sensor's x in radians, or NaN: estimated */
+    size_t count;           /* number of points; at most 20 million */
+    const void *points;     /* x, y, z float32 in meters; rows that are not finite are dropped */
+    size_t point_step;      /* bytes from one point to the next, 12 or more; 0 means 12 */
+    const void *ring;       /* uint16 beam of each point, 0 is the lowest; null to recover it from the points */
+    size_t ring_step;       /* bytes from one ring to the next, 2 or more; 0 means 2 */
+    const double *attitude; /* unit quaternion w, x, y, z of level_from_sensor; null to estimate it */
+    double sensor_height_m; /* above the ground below; NaN to estimate it */
+    double vehicle_yaw;     /* heading of the own vehicle from the sensor's x in radians; NaN to estimate it */
 } viewshed_sweep;
 
 /* What an estimate rests on. */
 typedef struct {
     double sensor_height_m;      /* above the ground below the sensor */
     int32_t height_source;       /* VIEWSHED_HEIGHT_... */
-    double ground_support;       /* share of the near ground on the plane that carries the sensor */
-    double unsure_ground_share;  /* share of the claims on ground that is unsure by more than half a meter */
-    double inferred_share;       /* share of the claims that measured beams alone would not support */
-    double reach_m;              /* nothing is claimed beyond */
-    double level_from_sensor[9]; /* rotation, row by row */
+    double ground_support;       /* share of the near ground on the plane below the sensor */
+    double unsure_ground_share;  /* share of the claims on ground uncertain by more than half a meter */
+    double inferred_share;       /* share of the claims that measured beams alone do not support */
+    double reach_m;              /* nothing is claimed beyond it */
+    double level_from_sensor[9]; /* rotation matrix, row by row */
     size_t dropped_points;       /* rows that were not finite */
-    char sensor[32];             /* the beam table that was given or inferred, or empty */
+    char sensor[32];             /* name of the given or inferred beam table, or empty */
 } viewshed_basis;
 
 VIEWSHED_API const char *viewshed_version(void);
 
-/* Why the last call of this thread failed, in a line; empty where it did not. Valid until the next call. */
+/* Return one line on why this thread's last call failed; empty if it did not. Valid until this thread's next call. */
 VIEWSHED_API const char *viewshed_error(void);
 
-/* How many threads a stage may use, 1 to 4, in all streams. */
+/* Set the number of threads that a stage may use, 1 to 4, for all streams. */
 VIEWSHED_API viewshed_status viewshed_set_threads(size_t count);
 
 VIEWSHED_API viewshed_options viewshed_defaults(void);
@@ -89,14 +90,15 @@ VIEWSHED_API viewshed_sweep viewshed_no_sweep(void);
 
 VIEWSHED_API viewshed_status viewshed_open(const viewshed_options *options, viewshed_stream *stream);
 
-/* Write the state (cells * cells) and, unless null, the probability that a target in each cell would be seen, and the basis. */
+/* Write the state of each cell (cells * cells) and, unless null, the probability that a target there would be seen, and the
+ * basis. */
 VIEWSHED_API viewshed_status viewshed_estimate(viewshed_stream stream, const viewshed_sweep *sweep, uint8_t *state,
                                                float *visible_prob, size_t cells, viewshed_basis *basis);
 
-/* Write the outline of what the last estimate without an error calls visible (a probability of at least one half): rings of
- * corners x, y in meters, the last one joined to the first. Ring k has the corners [begin[k], begin[k + 1]). Rings of one region have the same
- * number, negative where the ring is a hole. Arrays that are too short leave VIEWSHED_ERROR_ROOM and the counts that are needed;
- * begin has one element more than there are rings. */
+/* Write the outline of the visible area (probability of at least one half) of the last successful estimate, as rings of
+ * corners x, y in meters; the last corner joins the first. Ring k has the corners [begin[k], begin[k + 1]). Rings of one region
+ * have the same number in region, negative for a hole. Arrays that are too short give VIEWSHED_ERROR_ROOM and the required
+ * counts; begin has one element more than there are rings. */
 VIEWSHED_API viewshed_status viewshed_outline(viewshed_stream stream, double *corners_m, size_t corner_room, int64_t *begin,
                                               int32_t *region, size_t ring_room, size_t *corner_count, size_t *ring_count);
 

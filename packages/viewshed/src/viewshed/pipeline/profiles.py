@@ -46,8 +46,8 @@ PROFILES = {
 """``robot``: a small vehicle among people; fine cells, at most 10 Hz.
 ``infrastructure``: a fixed sensor on a pole, whose pose adds no information; caution falls slowly.
 ``mapping``: probabilities of every sweep, using earlier ones; no monitor and no reactions.
-``contested``: attacks are expected: earlier sweeps confirm claims, caution rises at once and falls after 50 sweeps, and
-claims stay that five replaced beams at a target cannot have opened."""
+``contested``: attacks are expected: any alarm leaves only claims that an earlier sweep confirms or that five replaced
+beams at a target cannot have opened; caution falls one step after 50 calm sweeps."""
 
 
 def profile_named(name: str) -> Profile:

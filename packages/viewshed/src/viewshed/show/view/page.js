@@ -1,4 +1,4 @@
-// The page's own script: frames are decoded when they are shown, drawn on a canvas, and moved through in time.
+// Script of the page: decodes frames when they are shown, draws them on a canvas, and plays them.
 // Positions are meters in the level frame, x forward and y left; on the screen forward is up and left is left.
 "use strict";
 
@@ -11,13 +11,13 @@ const agents = [...new Set(abouts.flatMap(({ trust }) => (trust ?? []).map(([age
 const agentColor = (agent) => `hsl(${(agents.indexOf(agent) * 137 + 25) % 360} 70% 45%)`;
 const [map, strip, stage, root] = [element("map"), element("strip"), element("stage"), document.documentElement];
 
-let current = 0; // number of the frame that was requested
-let shown = null; // its decoded arrays, and what was drawn of them
-let base = "states"; // which layer lies below
-const overlays = {}; // which layers lie on top
-const camera = { x: 0, y: 0, scale: 1, isWhole: true }; // meters at the middle, pixels of a meter
+let current = 0; // index of the requested frame
+let shown = null; // its decoded arrays, with cached drawings
+let base = "states"; // the layer at the bottom
+const overlays = {}; // whether each layer on top is on
+const camera = { x: 0, y: 0, scale: 1, isWhole: true }; // center in meters, pixels per meter
 
-// Seconds since the first frame; a tenth of a second between two whose times are not known or do not rise.
+// Seconds since the first frame; 0.1 s between two frames whose times are unknown or do not increase.
 function timesOf(frames) {
   const rise = (from, to) => (from && to ? Number(BigInt(to) - BigInt(from)) / 1e9 : 0);
   const period = (from, to) => (rise(from, to) > 0 ? rise(from, to) : 0.1);
@@ -32,7 +32,7 @@ async function inflated(bytes) {
   return new Uint8Array(await new Response(stream).arrayBuffer());
 }
 
-// The arrays of a frame, in the order in which viewshed/view/frames.py packs them.
+// Split the bytes of a frame into arrays, in the order in which frames.py packs them.
 function unpacked(about, bytes) {
   const [size, count] = [about.grid.cells ** 2, about.points];
   const cells = bytes.subarray(0, size);
@@ -43,14 +43,14 @@ function unpacked(about, bytes) {
     const values = new Int16Array(count);
     for (let k = 0; k < count; k++) {
       const value = columns[2 * column * count + k] | (columns[(2 * column + 1) * count + k] << 8);
-      values[k] = column < 2 && k ? values[k - 1] + value : value; // x, y are differences; int16 wraps around
+      values[k] = column < 2 && k ? values[k - 1] + value : value; // x, y are differences, wrapped to int16
     }
     return values;
   });
   return { about, cells, deviation, x, y, height };
 }
 
-// The last frames that were decoded stay, so that stepping back and forth costs nothing.
+// Cache the last 24 decoded frames, so that stepping back and forth is free.
 const decoded = new Map();
 function frame(k) {
   if (!decoded.has(k)) {
@@ -63,12 +63,12 @@ function frame(k) {
 async function show(k) {
   const wanted = (current = Math.max(0, Math.min(abouts.length - 1, k)));
   const [arrays, problem] = await frame(wanted).then((done) => [done, ""], (error) => [null, error.message]);
-  if (wanted !== current) return; // another one was requested meanwhile
+  if (wanted !== current) return; // another frame was requested meanwhile
   shown = arrays && { ...arrays };
   element("problem").textContent = problem && `Sweep ${wanted + 1} cannot be decoded: ${problem}`;
   tell();
   redraw();
-  if (wanted + 1 < abouts.length) frame(wanted + 1).catch(() => {}); // reported when it is shown
+  if (wanted + 1 < abouts.length) frame(wanted + 1).catch(() => {}); // errors are reported when it is shown
 }
 
 const color = (name) => getComputedStyle(root).getPropertyValue(`--${name}`).trim();
@@ -81,7 +81,7 @@ function colorAt(layer, share) {
   return colorMaps[layer].subarray(at, at + 3);
 }
 
-// The color of a cell's byte on the base layer: [r, g, b], or null for none.
+// Color of a cell's byte on the base layer: [r, g, b], or null for none.
 function cellColor(byte) {
   const [step, last] = [stepOf(byte), settings.steps - 1];
   if (base === "states") return stateOf(byte)[root.dataset.theme];
@@ -90,7 +90,7 @@ function cellColor(byte) {
   return byte === 255 ? null : colorAt("deviation", byte / settings.deviation_steps);
 }
 
-// A canvas with a pixel for each cell: row 0 is farthest ahead, column 0 farthest left.
+// Canvas with one pixel per cell: row 0 is farthest ahead, column 0 farthest left.
 function rasterOf(cells, colorOf, alpha) {
   const side = shown.about.grid.cells;
   const canvas = Object.assign(document.createElement("canvas"), { width: side, height: side });
@@ -105,7 +105,7 @@ function rasterOf(cells, colorOf, alpha) {
   return canvas;
 }
 
-// Lines between visible cells and others, in cells from the corner farthest ahead and left; the rim is no edge.
+// Lines between visible and other cells, in cells from the front left corner; the rim of the grid is no edge.
 function edgePath() {
   const { cells, about: { grid: { cells: side } } } = shown;
   const visible = (row, column) => cells[cells.length - 1 - (row * side + column)] & 4;
@@ -121,7 +121,7 @@ function edgePath() {
   return path;
 }
 
-// Numbers of the points by color of their height, the lowest first: higher ones are drawn on top.
+// Point indices by bin of height, the lowest first, so that higher points are drawn on top.
 function pointBins() {
   const [low, high] = settings.heights_m;
   const bins = Array.from({ length: 32 }, () => []);
@@ -136,7 +136,7 @@ const toScreen = (x, y, [column, row] = middle()) =>
 const toLevel = (column, row, [columns, rows] = middle()) =>
   [camera.x + (rows - row) / camera.scale, camera.y + (columns - column) / camera.scale];
 
-// An empty canvas, as many pixels as it has on the screen.
+// Clear a canvas, match its pixels to the screen's, and return its context.
 function cleared(canvas) {
   const ratio = window.devicePixelRatio;
   canvas.width = Math.round(canvas.clientWidth * ratio);
@@ -161,7 +161,7 @@ function drawMap() {
     context.save();
     context.translate(left, top);
     context.scale(side / cells, side / cells);
-    const inks = base === "states" ? [["edge", 1.4]] : [["page", 3], ["edge", 1.4]]; // seen on dark and on light
+    const inks = base === "states" ? [["edge", 1.4]] : [["page", 3], ["edge", 1.4]]; // visible on dark and on light
     for (const [ink, width] of inks) {
       Object.assign(context, { strokeStyle: color(ink), lineWidth: (width * cells) / side });
       context.stroke((shown.edge ??= edgePath()));
@@ -188,7 +188,7 @@ function drawPoints(context) {
   });
 }
 
-// A box from above as a path on the screen: center, length, width, heading.
+// Path on the screen of a box from above: center, length, width, heading.
 function boxPath([x, y, length, width, yaw]) {
   const path = new Path2D();
   const [cos, sin] = [Math.cos(yaw), Math.sin(yaw)];
@@ -200,7 +200,7 @@ function boxPath([x, y, length, width, yaw]) {
   return path;
 }
 
-// Detections as thin gray boxes; tracks in the colors of their explanations, with where they are in a second.
+// Detections as thin gray boxes; tracks in the colors of their explanations, with a line to their place in one second.
 function drawTracks(context) {
   Object.assign(context, { strokeStyle: color("quiet"), lineWidth: 1 });
   for (const box of shown.about.detections ?? []) context.stroke(boxPath(box));
@@ -222,7 +222,7 @@ function drawTracks(context) {
   }
 }
 
-// The track whose box is under a place of the ground, or undefined; small ones count as a meter wide.
+// The track whose box contains a point on the ground, or undefined; boxes are at least one meter long and wide.
 function trackAt(x, y) {
   return (shown?.about.tracks ?? []).find(([, tx, ty, length, width, yaw]) => {
     const [cos, sin, dx, dy] = [Math.cos(yaw), Math.sin(yaw), x - tx, y - ty];
@@ -239,7 +239,7 @@ function drawSuspect(context, left, top, side) {
   const [count, ...suspects] = shown.about.sectors ?? [0];
   Object.assign(context, { strokeStyle: color("suspect"), lineWidth: 7 });
   for (const sector of suspects) {
-    // Sector 0 begins behind, which is down, and they go on counter-clockwise, which angles of a canvas do not.
+    // Sector 0 begins behind (down on the screen); sectors run counterclockwise, a canvas's angles clockwise.
     const from = Math.PI / 2 - (2 * Math.PI * sector) / count;
     context.beginPath();
     context.arc(...toScreen(0, 0), side / 2 - 5, from, from - (2 * Math.PI) / count, true);
@@ -247,7 +247,7 @@ function drawSuspect(context, left, top, side) {
   }
 }
 
-// The longest of 1, 2, 5 times a power of ten that is not above the limit.
+// The largest of 1, 2, 5 times a power of ten up to the limit.
 function roundLength(limit) {
   const power = 10 ** Math.floor(Math.log10(limit));
   return Math.max(...[1, 2, 5].map((step) => step * power).filter((length) => length <= limit * (1 + 1e-9)));
@@ -269,7 +269,7 @@ function drawRings(context, farthest) {
   }
 }
 
-function drawSensor(context) { // an arrow that points forward
+function drawSensor(context) { // an arrow pointing forward
   const [column, row] = toScreen(0, 0);
   context.beginPath();
   for (const [right, down] of [[0, -14], [9, 9], [0, 4], [-9, 9]]) context.lineTo(column + right, row + down);
@@ -288,7 +288,7 @@ function drawScale() {
 const percent = (share) => `${Math.round(100 * share)} %`;
 const number = (value) => value?.toPrecision(3) ?? "–";
 
-// What is known of the frame, and its alarms if there are any.
+// Write the facts of the frame, its alarms and the trust in agents beside the map.
 function tell() {
   const about = abouts[current];
   const share = (state) => percent(about.shares[settings.states.findIndex(({ name }) => name === state)]);
@@ -314,7 +314,7 @@ function tell() {
   strip.setAttribute("aria-valuenow", current + 1);
 }
 
-// The values of the cell under the pointer.
+// Show the values of the cell under the pointer.
 function tip(event) {
   const output = element("tip");
   const [column, row] = [event.offsetX, event.offsetY];
@@ -336,7 +336,7 @@ function tip(event) {
   output.style.top = `${Math.min(row + 14, stage.clientHeight - output.offsetHeight - 4)}px`;
 }
 
-// Visible area and, where there is one, the monitor's score over time; ticks are alarms, the bar is the frame shown.
+// Draw visible area, the monitor's score and trust over time; ticks mark alarms, the bar the frame shown.
 function drawStrip() {
   const context = cleared(strip);
   const [width, height, above] = [strip.clientWidth, strip.clientHeight, 16];
@@ -377,7 +377,7 @@ function drawStrip() {
   context.fillRect(column(current) - 1, above, 2, height - above);
 }
 
-let timer = 0; // of the next frame; -1 while one is being decoded, 0 while nothing plays
+let timer = 0; // timeout of the next frame; -1 while a frame is decoded, 0 while paused
 function play(isOn) {
   clearTimeout(timer);
   timer = isOn ? -1 : 0;
@@ -385,7 +385,7 @@ function play(isOn) {
   if (isOn) next(current === abouts.length - 1 ? 0 : current + 1);
 }
 
-// Show a frame, and the one after it when as much time has gone by as lies between them, two seconds at most.
+// Show a frame, and the next one after the time between them, at most 2 s.
 async function next(k) {
   const begun = performance.now();
   timer = -1;
@@ -408,7 +408,7 @@ function redraw() {
   drawStrip();
 }
 
-// Move the ground so that what was under one place of the canvas is under another, and zoom around that.
+// Pan so that the ground under one place of the canvas is under another, and zoom around that place.
 function move(from, to, factor) {
   const [x, y] = toLevel(...from);
   camera.scale = Math.max(0.2, Math.min(400, camera.scale * factor));
@@ -449,7 +449,7 @@ function listen() {
   for (const [id, action] of Object.entries(actions)) element(id).onclick = action;
   const keys = { " ": "play", ArrowLeft: "back", ArrowRight: "next", "+": "closer", "-": "farther", 0: "whole" };
   document.onkeydown = (event) => {
-    const own = event.key === " " ? "select, input, button" : "select, input"; // they have keys of their own
+    const own = event.key === " " ? "select, input, button" : "select, input"; // these use the keys themselves
     if (event.ctrlKey || event.metaKey || event.altKey || event.target.matches(own) || !(event.key in keys)) return;
     event.preventDefault();
     actions[keys[event.key]]();
