@@ -68,7 +68,7 @@ def test_mountings_and_times_that_cannot_be_are_refused() -> None:
     for other, message in [
         (_view({}, None), "must have its mounting, number 1 has none"),
         (_view({}, Rigid.identity(), t_ns=700_000_000), "within 0.5 s, got 0.7 s"),
-        (_view({}, turned), "sweep 0 and 1 it differs by 37°; state roll and pitch"),
+        (_view({}, turned), "sweeps 0 and 1 it differs by 37°; give roll and pitch"),
         (_view({}, Rigid.identity(), target=viewshed.PEDESTRIAN), "one target"),
     ]:
         with pytest.raises(ValueError, match=message):

@@ -191,8 +191,8 @@ def test_odds_of_false_detections_that_nobody_gives_are_noted_once() -> None:
     )]  # fmt: skip
     late = Tracker()
     late.step(0.1, cars(), SeesAll(0.1))
-    assert "false detections are not known" in late.step(0.0, cars((5.0, 0.0)), SeesAll(0.0)).notes[0]
-    note = "false detections are not known for this view: 0.1 for one of an object taken; give false_odds"
+    assert "the rate of false detections is not known" in late.step(0.0, cars((5.0, 0.0)), SeesAll(0.0)).notes[0]
+    note = "the rate of false detections is not known for this view: 0.1 for one of an object assumed; give false_odds"
     assert said == [(), (note,), ()]
     assert not Tracker().step(0.0, cars((5.0, 0.0)), SeesAll(0.0), false_odds=np.array([0.1])).notes
 

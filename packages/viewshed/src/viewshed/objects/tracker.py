@@ -446,7 +446,7 @@ class Tracker:
         if given_odds is None and count and not self._has_noted_odds:
             self._has_noted_odds = True
             guess = f"{self.rules.false_odds:g} for one of an object"
-            notes.append(f"false detections are not known for this view: {guess} taken; give false_odds")
+            notes.append(f"the rate of false detections is not known for this view: {guess} assumed; give false_odds")
         return Measured(detections.boxes, detections.kinds, spread, odds)
 
     def _time_note(self, t_s: float, view: View, notes: list[str]) -> Tracks | None:
