@@ -57,7 +57,7 @@ class AdversaryNode(Node):
             sweep = INPUTS["cloud"].sweep(message)
             forged = self._adversary.sweep(sweep)
         except ValueError as error:
-            self.get_logger().warning(f"passed as it is: {error}", throttle_duration_sec=5.0)
+            self.get_logger().warning(f"forwarded unchanged: {error}", throttle_duration_sec=5.0)
             forged = sweep = None
         self._forged.publish(message if forged is sweep or forged is None else cloud_of(forged, message))
 
@@ -71,7 +71,7 @@ class AdversaryNode(Node):
         try:
             forged = self._adversary.objects(header.frame_id, t_s, detections_of(message), np.zeros(3))
         except ValueError as error:
-            self.get_logger().warning(f"passed as it is: {error}", throttle_duration_sec=5.0)
+            self.get_logger().warning(f"forwarded unchanged: {error}", throttle_duration_sec=5.0)
             self._forged.publish(message)
             return
         self._forged.publish(detection_cubes(forged, header))

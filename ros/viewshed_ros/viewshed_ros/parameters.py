@@ -361,8 +361,8 @@ def check_change(name: str, value: Any, *, is_configured: bool) -> None:
             raise ValueError(f"{name}: {error}") from error
     if is_configured and not parameter.at_run:
         raise ValueError(
-            f"{name} must be set before the node is configured, got {value!r} after it; deactivate it, clean it up, set"
-            f" {name}, and configure it anew"
+            f"{name} must be set before the node is configured, got {value!r} after it; deactivate it, clean it up,"
+            f" set {name}, and configure it again"
         )
 
 

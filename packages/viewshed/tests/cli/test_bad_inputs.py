@@ -68,7 +68,7 @@ REFUSED = {
     "estimate mm.npy": "is the file in millimeters", "export mm.npy": "is the file in millimeters",
     "view mm.npy --html a.html": "is the file in millimeters",
     "estimate words.csv": "got a word in the column 'kind': leave it out",
-    "estimate two.csv": "three numbers or more a line",
+    "estimate two.csv": "three or more numbers per line",
     "estimate no.csv": "must have x, y and z among the names of its columns, got time, speed, heading",
     "estimate ragged.csv": "ragged.csv: ", "estimate german.csv": "for each of 3 names, got 6",
     "estimate cut.las": "points need … bytes, the file holds",

@@ -118,5 +118,5 @@ def _assumptions(given: Given, threat: Threat) -> tuple[str, ...]:
         f"the ground deviates by a slope of at most {given.grade:g} from {ground}",
         "objects that a beam meets before the target reflect it (no glass, no absorber)",
         f"the attacker has no more than {threat.words}",
-        *(f"the {what}, inferred from this sweep, is right" for what in given.inferred),
+        *(f"the {what}, inferred from this sweep, is correct" for what in given.inferred),
     )

@@ -188,7 +188,7 @@ class Calibration:
             claim &= ground_std(ground, estimate.grid) <= std_m
         if not claim.any():
             warnings.warn(
-                f"nothing of this sweep is guaranteed at alpha {alpha:g}, delta {delta:g}: no claim is sure enough",
+                f"nothing of this sweep is guaranteed at alpha {alpha:g}, delta {delta:g}: no claim is certain enough",
                 stacklevel=2,
             )
         return claim
