@@ -276,7 +276,7 @@ def test_a_report_that_raises_costs_its_round_alone() -> None:
     for number, each in enumerate([poison, *reports[1:]]):
         assert rounds.add(BEGIN_S + 1.5, each, BEGIN_S + 1.52 + 0.01 * number) == []
         notes += rounds.notes
-    assert [note.split(" s fails")[0] for note in notes] == [f"the round of {BEGIN_S + 1.5:.2f}"]
+    assert [note.split(" s failed")[0] for note in notes] == [f"the round of {BEGIN_S + 1.5:.2f}"]
     done = follow(rounds, reports, lambda *_: 0.0, times=5, begin=4)
     assert full(done, {each.agent for each in reports}) == 5
 

@@ -86,7 +86,7 @@ REFUSED = {
     # Folders, patterns and bags.
     "estimate .": ". is a folder without sweeps and no recording (nuscenes, kitti_raw,",
     "estimate text": "sweeps end in .pcd.bin, .bin, .pcd", "estimate above": "s has some",
-    "estimate no*.pcd": "no file fits", "estimate nothin?": "folder without sweeps",
+    "estimate no*.pcd": "no file matches", "estimate nothin?": "folder without sweeps",
     "estimate": "give at least one FILE, or an --index", "estimate bag": "no topic has",
     "estimate two.mcap --topic /up": "topic must be one with sweeps, /front (1 sweeps), /rear (1 sweeps), got '/up'",
     f"estimate {GOOD} --topic /up": "--topic is only for bags",
@@ -115,7 +115,7 @@ REFUSED = {
     # Where results go.
     f"estimate {GOOD} --out file": "must be a folder", f"compare {GOOD} --out file/c.png": "must lie in a folder that",
     f"export {GOOD} --out no/a.geojson": "must lie in a folder that exists",
-    **{f"record {GOOD} --to no/{name}": "must lie in a folder that exists, got … no; make it first"
+    **{f"record {GOOD} --to no/{name}": "must lie in a folder that exists, got … no; create it first"
        for name in ("a.mcap", "a.bag", "a")},
     **dict.fromkeys((
         "estimate sweep.npz --out .", "export sweep.npz --to npz", "compare sweep.npz --out sweep.npz",

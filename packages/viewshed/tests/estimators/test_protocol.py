@@ -93,7 +93,7 @@ def test_probabilities_abstain_and_masks_cannot(estimator: Estimator, street: Sw
         assert found.threshold == 0.9
         assert same(estimator.with_abstention(0.5).estimate(street), before)
     else:
-        with pytest.raises(ValueError, match=f"says how sure it is, got 0.9 for {estimator.name}, whose masks"):
+        with pytest.raises(ValueError, match=f"estimator of probabilities, got 0.9 for {estimator.name}, whose masks"):
             estimator.with_abstention(0.9)
 
 

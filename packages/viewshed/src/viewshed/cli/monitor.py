@@ -35,12 +35,12 @@ if TYPE_CHECKING:
 HZ = 10.0
 """Assumed rate of drives without times."""
 
-monitor_app = typer.Typer(help="Report whether a sweep is inconsistent or degraded, where and why.")
+monitor_app = typer.Typer(help="Check if a sweep is inconsistent or degraded, where and why.")
 
 
 @monitor_app.callback()
 def monitor() -> None:
-    """Report whether a sweep is inconsistent or degraded, where and why."""
+    """Check if a sweep is inconsistent or degraded, where and why."""
 
 
 @monitor_app.command()
