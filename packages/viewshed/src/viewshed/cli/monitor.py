@@ -156,8 +156,7 @@ def check(
     Each line also has the p-value and the suspect sectors. Without --monitor-file, the monitor shipped with viewshed is
     used. Each sweep of a recording is judged by the sweeps before it; a folder of files with one sweep each is one
     stream if the files have times, or --poses gives them. A sweep that cannot be checked gives one line on standard
-    error and does not stop
-    the others; the exit code is then 2. An alarm does not change the exit code.
+    error and does not stop the others; the exit code is then 2. An alarm does not change the exit code.
 
     Example: viewshed monitor check drive --monitor-file monitor.npz
     """
