@@ -29,7 +29,7 @@ def test_a_core_of_another_version_is_refused_by_name() -> None:
     run = subprocess.run((sys.executable, "-c", code), capture_output=True, text=True, check=False)
     assert run.returncode == 1
     said = f"ImportError: viewshed's native core must be of version {viewshed.__version__}, got 0.0.1;"
-    assert run.stderr.splitlines()[-1] == f"{said} install viewshed anew (in a checkout: pip install packages/viewshed)"
+    assert run.stderr.splitlines()[-1] == f"{said} reinstall viewshed (in a checkout: pip install packages/viewshed)"
 
 
 def test_forked_processes_and_threads_use_the_core() -> None:

@@ -133,7 +133,7 @@ def test_what_stops_the_vehicle_claims_nothing_in_any_cell() -> None:
     # Before any view there are masks, which cover the map; grids have no place yet.
     before = Unseen(None, "map", everywhere(), stamp, stamp)
     assert set(LAYERS["keepout_mask"].stop(before).data) == {100}
-    with pytest.raises(ValueError, match="got none before"):
+    with pytest.raises(ValueError, match="got none yet"):
         LAYERS["state"].stop(before)
 
 

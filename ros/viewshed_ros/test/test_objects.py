@@ -194,7 +194,7 @@ def test_a_forged_message_is_refused_and_counted(graph: Graph) -> None:
     graph.until(lambda: graph.reported("no signed message"))
     graph.until(lambda: graph.reported("trust of mast"))
     # No valid message, no round: what the center said of the last one is no word of now.
-    graph.until(lambda: graph.reported("nothing is known of now"))
+    graph.until(lambda: graph.reported("nothing is known about the present"))
 
 
 def test_a_message_without_a_view_is_noted(graph: Graph) -> None:

@@ -22,14 +22,14 @@ from viewshed_ros.spinning import spin
 
 PARAMETERS: dict[str, Parameter] = {
     "attack": Parameter("far_wall", "Name of an attack: of sweeps for clouds, of objects for detections."),
-    "type": Parameter("cloud", "What is forged.", ("cloud", "detections")),
-    "topic": Parameter("points", "Topic of what is honest."),
-    "forged_topic": Parameter("points_forged", "Topic of what is forged."),
+    "type": Parameter("cloud", "Kind of messages that are forged.", ("cloud", "detections")),
+    "topic": Parameter("points", "Topic of the honest messages."),
+    "forged_topic": Parameter("points_forged", "Topic of the forged messages."),
     "start_s": Parameter(2.0, "Seconds after the first message at which the attack begins."),
     "end_s": Parameter(0.0, "Seconds after the first message at which it ends; 0 for never."),
     "reset_s": Parameter(10.0, "Seconds after which other objects, or another place, are attacked."),
-    "count": Parameter(2, "Objects that are forged at a time."),
-    "seed": Parameter(0, "Of all that is random."),
+    "count": Parameter(2, "Number of objects forged at a time."),
+    "seed": Parameter(0, "Random seed."),
 }
 """Parameters of the node."""
 
@@ -57,7 +57,7 @@ class AdversaryNode(Node):
             sweep = INPUTS["cloud"].sweep(message)
             forged = self._adversary.sweep(sweep)
         except ValueError as error:
-            self.get_logger().warning(f"passed as it is: {error}", throttle_duration_sec=5.0)
+            self.get_logger().warning(f"forwarded unchanged: {error}", throttle_duration_sec=5.0)
             forged = sweep = None
         self._forged.publish(message if forged is sweep or forged is None else cloud_of(forged, message))
 
@@ -71,7 +71,7 @@ class AdversaryNode(Node):
         try:
             forged = self._adversary.objects(header.frame_id, t_s, detections_of(message), np.zeros(3))
         except ValueError as error:
-            self.get_logger().warning(f"passed as it is: {error}", throttle_duration_sec=5.0)
+            self.get_logger().warning(f"forwarded unchanged: {error}", throttle_duration_sec=5.0)
             self._forged.publish(message)
             return
         self._forged.publish(detection_cubes(forged, header))

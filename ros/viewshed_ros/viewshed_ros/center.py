@@ -33,15 +33,17 @@ TICK_S = 0.1
 """Period of checks for rounds that have waited long enough."""
 
 PARAMETERS: dict[str, Parameter] = {
-    "agents": Parameter([""], "Names of the agents that are believed to be who they say."),
+    "agents": Parameter([""], "Names of the agents whose signed messages are accepted."),
     "keys": Parameter([""], "Files of their public keys, 64 hexadecimal digits each, in the same order."),
     "topic": Parameter("/viewshed/views", "Topic of the messages of all agents."),
     "world_frame": Parameter("map", "Frame of their poses."),
     "slop_s": Parameter(
-        0.1, "Seconds by which reports of one round may lie apart, by the center's clock.", bounds=(0.0, 10.0)
+        0.1, "Maximum time difference of the reports of one round, by the center's clock.", bounds=(0.0, 10.0)
     ),
     "diagnostics_hz": Parameter(1.0, "How often /diagnostics is published.", bounds=(0.01, 100.0)),
-    "state": Parameter("", "File that remembers the newest message of each key, so that a restart takes no replay."),
+    "state": Parameter(
+        "", "File that remembers the newest message of each key, so that replayed messages are refused after a restart."
+    ),
 }
 """Parameters of the node."""
 
@@ -143,7 +145,7 @@ class CenterNode(Node):
         # A scene without objects is no fault.
         status.level = DiagnosticStatus.WARN if set(sentences) - {NO_OBJECTS} else DiagnosticStatus.OK
         if silent_s > HEARD_S:
-            sentences.insert(0, f"no round for {silent_s:.1f} s: nothing is known of now")
+            sentences.insert(0, f"no round for {silent_s:.1f} s: nothing is known about the present")
             status.level = DiagnosticStatus.STALE
         status.message = "; ".join(sentences) or f"{self._count} rounds, nobody contradicts the others"
         for agent, numbers in self._done.numbers()["agents"].items():

@@ -56,7 +56,7 @@ class Input:
     def sweep(self, message: Any, **known: Any) -> Sweep:
         """Return the sweep of a message, with the time of its header and known attributes."""
         if self.sweep_of is None:
-            raise ValueError(f"a message of {self.name} holds a packet, no sweep")
+            raise ValueError(f"a message of {self.name} holds a packet, not a sweep")
         return self.sweep_of(message).replace(t_ns=nanoseconds_of(message.header.stamp), **known)
 
 

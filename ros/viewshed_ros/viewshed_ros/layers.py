@@ -71,7 +71,7 @@ class Unseen:
     def view(self) -> PosedEstimate:
         """Return the last view with every cell UNKNOWN."""
         if self.last is None:
-            raise ValueError("a grid must lie where the last one did, got none before")
+            raise ValueError("a view without a sweep takes the grid of the last view, got none yet")
         grid = self.last.estimate.grid
         estimate = FovEstimate(
             grid, np.zeros(grid.shape, np.float32), np.full(grid.shape, CellState.UNKNOWN, np.uint8),

@@ -151,7 +151,7 @@ class FieldOfView(LifecycleNode):
             weights=settings.weights or None, passes=settings.passes or None,
         )  # fmt: skip
         if settings.history and not estimator.uses_history:
-            raise ValueError(f"history must be 0 for {settings.method}, which looks at one sweep; or take shadow_map")
+            raise ValueError(f"history must be 0 for {settings.method}, which uses one sweep only; or use shadow_map")
         monitor = self._monitor(settings)
         self._facts = {
             "method": settings.method, **({"weights": settings.weights} if settings.weights else {}),

@@ -103,56 +103,58 @@ _SPEEDS_MPS = (1e-3, 1e3)
 
 # No value is on, off, yes or no, because the command line parses these as booleans.
 PARAMETERS: dict[str, Parameter] = {
-    "profile": Parameter("robot", "What the pipeline is for.", tuple(PROFILES)),
+    "profile": Parameter("robot", "Use case that sets the defaults.", tuple(PROFILES)),
     "method": Parameter(
         FROM_PROFILE,
-        "Name of the estimator, or profile.",
+        "Name of the estimator; profile takes that of the profile.",
         check=lambda value: value == FROM_PROFILE or load_estimator(value),
     ),
     "weights": Parameter(
         "",
-        "Of unet and mc_dropout: file or name of a network; empty for the shipped one of grid and target.",
+        "For unet and mc_dropout: file or name of a network; empty for the shipped one of grid and target.",
         check=lambda value: value and load_runner(value),
     ),
-    "passes": Parameter(0, "Of mc_dropout: passes, 2 or more; 0 for the usual 10.", bounds=(0, 1000)),
+    "passes": Parameter(0, "For mc_dropout: number of passes, 2 or more; 0 for the default of 10.", bounds=(0, 1000)),
     "grid": Parameter(
-        FROM_PROFILE, "Name of the grid, or profile; with weights, profile is their own.", (FROM_PROFILE, *GRIDS)
+        FROM_PROFILE,
+        "Name of the grid; profile takes that of the profile, or that of the weights if given.",
+        (FROM_PROFILE, *GRIDS),
     ),
-    "target": Parameter("car", "What would have to be seen.", tuple(TARGETS)),
+    "target": Parameter("car", "Object whose visibility is estimated.", tuple(TARGETS)),
     "history": Parameter(
         -1,
-        "Earlier sweeps of a sensor that help, where poses are known; -1 leaves it to the profile.",
+        "Number of earlier sweeps of a sensor to use, if poses are known; -1 takes that of the profile.",
         bounds=(-1, 1000),
     ),
     "rate_hz": Parameter(
         -1.0,
-        "Sweeps of a sensor estimated in a second; 0 for all, -1 leaves it to the profile.",
+        "Maximum number of sweeps of a sensor estimated per second; 0 for all, -1 takes that of the profile.",
         bounds=(-1.0, 1e3),
         at_run=True,
     ),
-    "monitor": Parameter(FROM_PROFILE, "Whether streams are watched.", (FROM_PROFILE, "always", "never")),
+    "monitor": Parameter(FROM_PROFILE, "Whether the monitor checks the sweeps.", (FROM_PROFILE, "always", "never")),
     "monitor_file": Parameter(
         "",
-        "File of viewshed monitor calibrate; empty for the shipped one.",
+        "Monitor made by viewshed monitor calibrate; empty for the shipped one.",
         check=lambda value: value and load_calibration(value),
     ),
     "certify": Parameter(
         FROM_PROFILE,
-        "What stays claimed on an alarm: what no such attack can have opened (added, window:5, …), profile, or never.",
+        "Attack against which claims are certified during an alarm (added, window:5, …), profile, or never.",
         check=lambda value: _threat(value, PROFILES["robot"]),
     ),
-    "certified_only": Parameter(False, "Whether only what certify certifies is claimed, be there an alarm or not."),
+    "certified_only": Parameter(False, "Whether only certified cells are claimed, even without an alarm."),
     "sensors": Parameter(
         ["lidar"], "Names of the sensors; each has the parameters and topics below its name.", check=_check_sensors
     ),
-    "pose_source": Parameter("none", "Where poses are from.", ("none", "tf", *POSE_TOPICS)),
+    "pose_source": Parameter("none", "Source of the poses.", ("none", "tf", *POSE_TOPICS)),
     "pose_topic": Parameter("odometry", "Topic of poses, unless they are from tf."),
     "pose_wait_s": Parameter(
-        0.02, "How long a pose that is still to come is waited for.", bounds=(0.0, 100.0), at_run=True
+        0.02, "How long to wait for a pose that has not arrived yet.", bounds=(0.0, 100.0), at_run=True
     ),
     "world_frame": Parameter("map", "Frame of poses and masks."),
     "output": Parameter("sensor", "Frame of grids, polygons and markers.", ("sensor", "world")),
-    "speed_most_mps": Parameter(10.0, "100 percent of the speed mask.", bounds=_SPEEDS_MPS),
+    "speed_most_mps": Parameter(10.0, "Speed that is 100 percent in the speed mask.", bounds=_SPEEDS_MPS),
     "speed_unseen_mps": Parameter(
         1.0,
         "Speed of the mask where nothing is seen, and speed limit of a stale alarm.",
@@ -161,27 +163,33 @@ PARAMETERS: dict[str, Parameter] = {
     ),
     "stale_s": Parameter(
         STALE_S,
-        "Age of a view from which nothing is claimed, if stale_periods have passed as well.",
+        "Nothing is claimed from a view of this age, once stale_periods have passed as well.",
         bounds=(0.05, 60.0),
         at_run=True,
     ),
     "stale_periods": Parameter(
         STALE_PERIODS,
-        "Periods of its sensor from which nothing is claimed, if stale_s have passed as well.",
+        "Nothing is claimed from a view that is this many periods of its sensor old, once stale_s have passed as well.",
         bounds=(1.0, 100.0),
         at_run=True,
     ),
-    "vehicle_front_m": Parameter(VEHICLE.front_m, "From the sensor to the front of the vehicle.", bounds=(-1e3, 1e3)),
+    "vehicle_front_m": Parameter(
+        VEHICLE.front_m, "Distance from the sensor to the front of the vehicle.", bounds=(-1e3, 1e3)
+    ),
     "vehicle_half_width_m": Parameter(
         VEHICLE.half_width_m, "Half of the width of the lane that must be free.", bounds=(1e-3, 1e3)
     ),
     "vehicle_delay_s": Parameter(VEHICLE.delay_s, "Time until the brakes act.", bounds=(0.0, 1e3)),
-    "vehicle_braking_mps2": Parameter(VEHICLE.braking_mps2, "How hard the vehicle brakes.", bounds=(1e-3, 1e3)),
+    "vehicle_braking_mps2": Parameter(
+        VEHICLE.braking_mps2, "Deceleration of the vehicle when it brakes.", bounds=(1e-3, 1e3)
+    ),
     "objects": Parameter(False, "Detect, track and explain objects as well; needs scipy."),
-    "agent": Parameter("", "Name under which the first sensor's answers are shared with other agents; empty for not."),
+    "agent": Parameter(
+        "", "Name under which the first sensor's views are shared with other agents; empty to share none."
+    ),
     "agent_key": Parameter("", "File of the agent's private key, 64 hexadecimal digits."),
     "agent_topic": Parameter("/viewshed/views", "Topic of the signed messages of all agents."),
-    "autostart": Parameter(False, "Configure and activate at once, where no manager of lifecycles does.", fixed=True),
+    "autostart": Parameter(False, "Configure and activate at once, if no lifecycle manager does.", fixed=True),
     "diagnostics_hz": Parameter(
         1.0, "How often /diagnostics is published; 0 for never.", bounds=(0.0, 100.0), at_run=True
     ),
@@ -191,9 +199,9 @@ PARAMETERS: dict[str, Parameter] = {
 SENSOR_PARAMETERS: dict[str, Parameter] = {
     "topic": Parameter("", "Topic of its messages; empty for NAME/points."),
     "type": Parameter("cloud", "Type of its messages.", tuple(INPUTS)),
-    "metadata": Parameter("", "Of type ouster or ouster_bytes: file of the sensor's metadata (JSON)."),
+    "metadata": Parameter("", "For type ouster or ouster_bytes: file of the sensor's metadata (JSON)."),
     "frame": Parameter(
-        "", "The only frame whose clouds are taken, and that of packets; empty for that of most clouds, and NAME."
+        "", "Frame of the clouds to accept, and of packets; empty for the frame of most clouds, and NAME for packets."
     ),
     "model": Parameter("auto", "Name of a beam table, auto to infer it from the points, or none.", check=_model),
     "height_m": Parameter(0.0, "Height above the ground; 0 to estimate it.", bounds=(0.0, 99.0)),
@@ -204,7 +212,7 @@ SENSOR_PARAMETERS: dict[str, Parameter] = {
     ),
     "mounting": Parameter(
         [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0],
-        "Where it stands on the vehicle: x, y, z, w, x, y, z of base_from_sensor; tf knows it by itself.",
+        "Where it stands on the vehicle: x, y, z, w, x, y, z of base_from_sensor; not needed with tf.",
         check=_mounting,
     ),
 }
@@ -353,8 +361,8 @@ def check_change(name: str, value: Any, *, is_configured: bool) -> None:
             raise ValueError(f"{name}: {error}") from error
     if is_configured and not parameter.at_run:
         raise ValueError(
-            f"{name} must be set before the node is configured, got {value!r} after it; deactivate it, clean it up, set"
-            f" {name}, and configure it anew"
+            f"{name} must be set before the node is configured, got {value!r} after it; deactivate it, clean it up,"
+            f" set {name}, and configure it again"
         )
 
 

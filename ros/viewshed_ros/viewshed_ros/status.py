@@ -47,7 +47,10 @@ class SensorCounts:
         if not rate_hz:
             level, message = DiagnosticStatus.STALE, "no field of view"
         elif reasons:
-            level, message = DiagnosticStatus.WARN, f"{rate_hz:.1f} Hz, {sum(reasons.values())} times not as it should"
+            level, message = (
+                DiagnosticStatus.WARN,
+                f"{rate_hz:.1f} Hz, {sum(reasons.values())} problems",
+            )
         values = {
             "rate in Hz": f"{rate_hz:.1f}", "messages": self.received, "beyond the rate": self.skipped,
             "answered": self.answered, "last note": self.last_note, **facts, **reasons,

@@ -117,6 +117,8 @@ def test_what_cannot_be_quantized_is_refused(tmp_path: Path) -> None:
 def test_engines_that_run_no_bytes_are_refused(tmp_path: Path) -> None:
     made(SHAPES[0], tmp_path)
     content = quantize_network((tmp_path / "log.onnx").read_bytes(), "made", maps(1))
-    line = "engine must be onnxruntime for bytes, a network in bytes, got cuda, which is for networks in float32"
+    line = (
+        "engine must be onnxruntime for bytes, a network with 8-bit weights, got cuda, which is for networks in float32"
+    )
     with pytest.raises(ValueError, match=line):
         OnnxRunner.of_content(content, "bytes", 1, "cuda")

@@ -30,7 +30,7 @@ __version__ = "0.4.0"
 if __version__ != _core.VERSION:
     raise ImportError(
         f"viewshed's native core must be of version {__version__}, got {_core.VERSION};"
-        " install viewshed anew (in a checkout: pip install packages/viewshed)"
+        " reinstall viewshed (in a checkout: pip install packages/viewshed)"
     )
 
 _HOMES = {

@@ -71,7 +71,7 @@ def require_parent(path: Path) -> None:
     """
     if not path.parent.is_dir():
         kind = NotADirectoryError if path.parent.exists() else FileNotFoundError
-        raise kind(f"{path} must lie in a folder that exists, got {path.parent}; make it first")
+        raise kind(f"{path} must lie in a folder that exists, got {path.parent}; create it first")
 
 
 @contextmanager

@@ -37,7 +37,7 @@ def pose_covariance_of(values: ArrayLike, name: str) -> NDArray[np.float64]:
     tolerance = 1e-5 * float(np.abs(np.diag(covariance)).sum()) + 1e-9
     asymmetry = float(np.abs(covariance - covariance.T).max())
     if asymmetry > tolerance:
-        raise ValueError(f"{name} must be symmetric, got numbers {asymmetry:g} apart; give the upper triangle twice")
+        raise ValueError(f"{name} must be symmetric, got numbers {asymmetry:g} apart; mirror the upper triangle")
     eigenvalue = float(np.linalg.eigvalsh((covariance + covariance.T) / 2.0)[0])
     if not eigenvalue >= -tolerance:
         raise ValueError(f"{name} must have no negative eigenvalue, got {eigenvalue:g}; give m² and rad², 0 if exact")

@@ -87,7 +87,7 @@ def test_noise_falls_back_to_fewer_levels_and_then_is_refused() -> None:
     assert (found.visible() == (prob >= 0.5)).all()
     assert set(np.unique(found.visible_prob)) <= set(level_values(0.5)[[0, 4, 11, 15]])
     assert np.isnan(found.std).all()
-    with pytest.raises(ValueError, match="regular enough for two bits a cell; got what looks like noise"):
+    with pytest.raises(ValueError, match="compress to two bits a cell, got states that look like noise"):
         encode_fov(view_of(grid, rng.random(grid.shape), rng.integers(0, 4, grid.shape)))
 
 

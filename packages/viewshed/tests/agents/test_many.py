@@ -168,7 +168,7 @@ def test_reports_of_strangers_doubles_and_the_past_are_refused() -> None:
     with pytest.raises(ValueError, match="one each"):
         center.add(0.0, [report(view("a"), CARS), report(view("a"), CARS)])
     center.add(1.0, [report(view("a"), CARS)])
-    for t_s, words in ((1.0, "must rise"), (0.5, r"must rise, got 0\.500 s after 1\.000 s")):
+    for t_s, words in ((1.0, "must increase"), (0.5, r"must increase, got 0\.500 s after 1\.000 s")):
         with pytest.raises(ValueError, match=words):
             center.add(t_s, [report(view("a"), CARS)])
     assert len(center.add(1.5, [report(view("a"), CARS)]).tracks) == 2

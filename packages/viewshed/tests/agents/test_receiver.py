@@ -334,7 +334,7 @@ def test_one_key_belongs_to_one_agent() -> None:
         KeyRing((CAR1.verifying(), VerifyingKey("car9", CAR1.public)))
     with pytest.raises(ValueError, match="must have 32 bytes, got 31"):
         VerifyingKey("car9", bytes(31))
-    with pytest.raises(ValueError, match="valid from some time until later"):
+    with pytest.raises(ValueError, match="valid from one time until a later"):
         CAR1.verifying(from_ns=2, until_ns=1)
     with pytest.raises(ValueError, match="signed by its agent 'car2', got the key of 'car1'"):
         sign_message(samples.message(1, "car2"), CAR1)
@@ -498,7 +498,7 @@ def test_any_bytes_are_taken(kind: Callable[[bytes], Any]) -> None:
 
 def test_an_older_version_is_refused_with_both_versions() -> None:
     receipt = give(receiver(), edited(_0=1))
-    assert receipt.detail == "the version of a payload must be 4, got 1; bring agent and receiver to one release"
+    assert receipt.detail == "the version of a payload must be 4, got 1; install the same release on agent and receiver"
 
 
 def test_what_an_honest_key_signs_is_checked_all_the_same() -> None:

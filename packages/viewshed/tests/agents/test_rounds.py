@@ -41,7 +41,7 @@ def test_a_round_ends_with_the_last_of_those_that_were_heard() -> None:
     assert set(numbers["agents"]) == {"a", "b", "c"}
     assert numbers["objects"][0]["reported_by"] == ["a", "b"]
     assert last.missing == ("c",)
-    assert rounds.notes == ["c: heard lately and missing at 1.00 s; check clocks and links"]
+    assert rounds.notes == ["c: heard recently, missing at 1.00 s; check clocks and links"]
 
 
 @pytest.mark.parametrize(("apart_s", "sizes"), [(0.099, [2]), (0.101, [1, 1])])
@@ -69,9 +69,9 @@ def test_who_comes_in_is_told_and_time_that_goes_back_begins_anew() -> None:
     rounds = Rounds()
     heard(rounds, [(5.0, 0), (5.0, 1), (5.5, 0), (5.5, 1), (6.0, 0), (6.0, 2)])
     heard(rounds, [(6.0, 1)])
-    assert rounds.notes == ["c came in: at the prior, the others keep their records"]
+    assert rounds.notes == ["c joined: its trust starts at the prior, the others keep theirs"]
     heard(rounds, [(0.0, 0)])
-    assert rounds.notes == ["time went back: the center begins anew"]
+    assert rounds.notes == ["time went back: the center starts over"]
 
 
 def test_who_contradicts_two_others_is_told() -> None:
@@ -84,7 +84,7 @@ def test_who_contradicts_two_others_is_told() -> None:
     assert last.picture.verdicts.evidence.argmax() == 2
     told = replace(last, accused=np.array([False, False, True]), disputed=np.array([True, True, False]))
     assert told.sentences() == [
-        "c is accused: its reports contradict the others; it counts little",
+        "c is accused: its reports contradict the others; its reports count little",
         "a, b: one of them lies, and no third view says which",
     ]  # fmt: skip
     assert told.numbers()["agents"]["c"]["accused"]
@@ -229,10 +229,10 @@ def test_who_is_heard_and_left_out_is_an_alarm() -> None:
     [last] = done
     assert last.missing == ("agent01", "agent02")
     assert last.numbers()["missing"] == ["agent01", "agent02"]
-    said = "agent01, agent02: heard lately and missing at "
+    said = "agent01, agent02: heard recently, missing at "
     assert [note[: len(said)] for note in notes] == [said]
     assert last.sentences() == [
-        "agent01, agent02 heard lately and missing: they contradict nobody",
+        "agent01, agent02 heard recently, missing now: they contradict nobody",
         "agent00 alone is heard: nobody contradicts it",
     ]
 
@@ -276,7 +276,7 @@ def test_a_report_that_raises_costs_its_round_alone() -> None:
     for number, each in enumerate([poison, *reports[1:]]):
         assert rounds.add(BEGIN_S + 1.5, each, BEGIN_S + 1.52 + 0.01 * number) == []
         notes += rounds.notes
-    assert [note.split(" s fails")[0] for note in notes] == [f"the round of {BEGIN_S + 1.5:.2f}"]
+    assert [note.split(" s failed")[0] for note in notes] == [f"the round of {BEGIN_S + 1.5:.2f}"]
     done = follow(rounds, reports, lambda *_: 0.0, times=5, begin=4)
     assert full(done, {each.agent for each in reports}) == 5
 
@@ -392,7 +392,7 @@ def test_who_is_refused_is_missing_and_counted() -> None:
             counts.update(each.missing for each in done)
     assert counts == {("agent02",): 4}
     assert done[-1].numbers()["agents"]["agent02"]["refused"] == 4
-    assert "agent02 (4 reports refused) heard lately and missing: they contradict nobody" in done[-1].sentences()
+    assert "agent02 (4 reports refused) heard recently, missing now: they contradict nobody" in done[-1].sentences()
 
 
 def test_reports_of_one_time_are_put_together_by_the_same_rules() -> None:
@@ -400,7 +400,7 @@ def test_reports_of_one_time_are_put_together_by_the_same_rules() -> None:
     for time in range(20):
         before = rounds.together(time / HZ, reports[:4])
     after = rounds.together(10.0, [*reports, at(reports[0], 1e300)])
-    assert rounds.notes[-1] == "agent04 came in: at the prior, the others keep their records"
+    assert rounds.notes[-1] == "agent04 joined: its trust starts at the prior, the others keep theirs"
     assert rounds.notes[0].startswith("agent00: coordinates must be at most 1e+07 m, got 1e+300 m")
     assert after.refused == {"agent00": 1}
     assert after.picture.verdicts.trust[2] == pytest.approx(before.picture.verdicts.trust[2], abs=0.1)

@@ -63,7 +63,9 @@ def test_a_private_key_that_others_can_read_or_write_is_refused(
     tmp_path: Path, mode: int, read: Callable[[str], object]
 ) -> None:
     path = key_file(tmp_path, mode)
-    with pytest.raises(ValueError, match=rf"must be its owner's alone, got mode 0{mode:o} of {path}; chmod 600 {path}"):
+    with pytest.raises(
+        ValueError, match=rf"must be readable by its owner only, got mode 0{mode:o} of {path}; chmod 600 {path}"
+    ):
         read(path)
 
 

@@ -256,7 +256,7 @@ def test_limits_hold_their_rate_and_refuse_what_they_cannot(masts: int) -> None:
         limits.accused(np.zeros((5, 5)), elevated, 0.0001)
     with pytest.raises(ValueError, match="must be finite"):
         TrustLimits.of(np.full((9, 5, 5), np.nan), elevated, np.zeros(9))
-    with pytest.raises(ValueError, match="must be of two benign scenes or more, got 1 and 1"):
+    with pytest.raises(ValueError, match="must come from two benign scenes or more, got 1 and 1"):
         TrustLimits.of(benign[:1], elevated, np.zeros(1))
 
 

@@ -54,7 +54,7 @@ def test_a_command_for_one_sweep_says_which_of_a_folder_it_takes(command: str, d
     done = run(command, drive, "--number", 1, *out)
     assert done.returncode == 0, done.stderr
     assert "note: " in done.stderr
-    assert "holds more sweeps; taken is number 1 from 0" in done.stderr
+    assert "holds more sweeps; number 1, counted from 0, is used" in done.stderr
     if command != "info":  # a name that ends in a slash is a folder, which is made
         assert len(list((tmp_path / "new").iterdir())) == 1
     beyond = run(command, drive, "--number", 3, *out)
@@ -148,7 +148,7 @@ def test_an_array_that_is_no_cloud_is_named(points: object, message: str) -> Non
 
 
 def test_what_a_sweep_says_itself_is_not_said_again() -> None:
-    with pytest.raises(ValueError, match="go with points, got a Sweep"):
+    with pytest.raises(ValueError, match="are for points, got a Sweep"):
         viewshed.estimate(STREET, sensor="vlp16")
 
 

@@ -121,7 +121,7 @@ def test_a_sweep_that_cannot_be_taken_costs_no_other(tmp_path: Path, monkeypatch
 
 def test_deviations_of_poses_that_are_larger_than_what_counts_are_noted(capsys: pytest.CaptureFixture[str]) -> None:
     assert parse_pose_std("5,20") == PoseStd(5.0, np.radians(20.0))
-    note = "viewshed: note: --pose-std 5,20: larger deviations than 0.25 m and 0.6° count as these\n"
+    note = "viewshed: note: --pose-std 5,20: reduced to the maximum, 0.25 m and 0.6°\n"
     assert capsys.readouterr().err == note
     parse_pose_std("0.25,0.6")
     assert capsys.readouterr().err == ""
@@ -175,7 +175,7 @@ def test_a_sweep_without_time_and_pose_is_put_together_with_none(tmp_path: Path)
     write_sweep(read_sweep(junction_path()).select(np.arange(0, 30000, 10)), tmp_path / "alone.ply")
     code, _, err = run("replay", tmp_path / "alone.ply", "--as-fast", "--fuse")
     assert code == 2
-    assert "--fuse needs a time and a pose of each sweep, ego has one without" in err
+    assert "--fuse needs a time and a pose of each sweep, ego has a sweep without them" in err
 
 
 def test_agents_of_one_name_in_two_files_are_two_agents(drive: Path, tmp_path: Path) -> None:

@@ -104,8 +104,8 @@ def test_files_without_times_are_one_stream_with_poses_and_each_alone_without(tm
     (drive / "times.txt").write_text("\n".join(str(5.0 * number) for number in range(13)))
     code, _, err = run("monitor", "calibrate", drive, "--out", out)
     assert code == 2
-    assert "note: the files have no times: each is judged alone; give --poses" in err
-    assert "got 0 besides 13 sweeps in streams of 5 or fewer, without a past; give more" in err
+    assert "note: the files have no times, so each is judged alone; give --poses" in err
+    assert "got 0 besides 13 sweeps in streams of 5 or fewer, which are too short; give more" in err
     code, said, _ = run("monitor", "calibrate", drive, "--out", out, "--poses", poses)
     assert (code, "calibrated on 13 sweeps of 1 drives" in said) == (0, True)
     code, said, _ = run(
@@ -121,7 +121,7 @@ def test_check_takes_a_rate_and_says_what_it_rests_on(place: Path) -> None:
     assert (code, said.count("\n")) == (0, 2)
     assert re.search(r"score above \d\.\d+: 0\.1 false alarms an hour, .* by 210 minutes .*, an extrapolation", err)
     code, _, err = run(*_check(place, "calm.npz"), "--per-hour", "1")
-    assert (code, "--per-hour goes with a monitor of viewshed monitor calibrate" in err) == (2, True)
+    assert (code, "--per-hour is for a monitor of viewshed monitor calibrate" in err) == (2, True)
 
 
 @pytest.mark.slow
@@ -131,8 +131,8 @@ def test_attacked_drives_and_those_of_another_sensor_are_named() -> None:
     base = Calibration.fit(list(drawn[:5]), 2.5)
     names = [[f"{drive}/{number}" for number in range(150)] for drive in (5, 6)]
     for every, word in (
-        (50, r"left out as attacked, .* calls \d+ sweeps at one alarm an hour: 5/20"),
-        (6, r"limit is \d+\.\d+, the base's \d\.\d+: attacked, or another sensor; .* and \d+ more"),
+        (50, r"left out as attacked, .* at one alarm an hour, the base monitor flags \d+ sweeps: 5/20"),
+        (6, r"limit is \d+\.\d+, that of the base monitor \d\.\d+: the drives were attacked, or .* and \d+ more"),
     ):
         attacked = drawn[5:].copy()
         attacked[:, 20::every] *= 1000.0
@@ -151,7 +151,7 @@ def test_an_empty_sweep_is_an_alarm_and_no_error(place: Path) -> None:
 def test_one_sweep_says_that_it_cannot_tell(place: Path) -> None:
     code, said, _ = run("monitor", "check", place / "calm.npz")
     assert code == 0
-    assert said.startswith("calm.npz: nothing found; one sweep cannot tell")
+    assert said.startswith("calm.npz: nothing found; one sweep alone cannot reveal")
 
 
 def test_check_alarms_where_returns_are_gone(place: Path) -> None:

@@ -84,7 +84,7 @@ def test_networks_stand_beside_the_others(files: tuple[Path, Path], tmp_path: Pa
     ]  # fmt: skip
     code, _, err = run("compare", *words, "--methods", "shadow_map,majority_vote")
     assert (code, err.count("\n")) == (2, 1)
-    assert "--device go with unet, mc_dropout, got methods shadow_map,majority_vote" in err
+    assert "--device are for unet, mc_dropout, got methods shadow_map,majority_vote" in err
 
 
 def test_networks_stand_beside_the_others_in_evaluate_truth(tmp_path: Path) -> None:
@@ -124,15 +124,15 @@ def test_where_no_method_is_asked_for_it_is_the_shadow_map_or_the_papers_label(t
         assert read_npz(out / ("sweep.npz" if method == "shadow_map" else f"sweep_{method}.npz")).method == method, said
 
 
-@pytest.mark.filterwarnings("default:method viewnet is gone")
+@pytest.mark.filterwarnings("default:method viewnet was removed")
 def test_the_network_that_is_gone_is_the_default_with_one_line(files: tuple[Path, Path], tmp_path: Path) -> None:
     words = ("--grid", "64x16", "--height", 1.8, "--abstain-below", 0.9)
     code, out, err = run("estimate", files[0], "--method", "viewnet", *words, "--out", tmp_path)
     assert code == 0
     assert "(shadow_map," in out
     assert err == (
-        "viewshed: warning: method viewnet is gone, and shadow_map is taken, whose probability is calibrated; version"
-        " 0.5 will refuse the name\n"
+        "viewshed: warning: method viewnet was removed, and shadow_map, whose probability is calibrated, is used;"
+        " version 0.5 will refuse the name\n"
     )
     found = read_npz(tmp_path / "sweep.npz")
     assert (found.method, found.threshold) == ("shadow_map", 0.9)

@@ -37,7 +37,7 @@ NOT_METERS = [
     (STREET.points * np.float32(0.001), "is the file in kilometers?"),
     (STREET.points * np.float32(0.0), "nearly all points lie at the origin: are they returns at all?"),
     (STREET.points + np.array([566_000.0, 5_930_000.0, 12.0], np.float32),
-     r"the points lie around \((565999|566000|566001), 5930000, .*Subtract the sensor's position before they"),
+     r"the points lie around \((565999|566000|566001), 5930000, .*Subtract the sensor's position before you"),
 ]  # fmt: skip
 
 
@@ -63,14 +63,14 @@ NEAR = STREET.points * np.float32(0.1)
 BOX = NEAR[(np.abs(NEAR[:, 0]) < 2.6) & (np.abs(NEAR[:, 1]) < 1.0)]
 DOUBTED = [
     (STREET.points + np.array([0.0, 0.0, 1.8], np.float32), (),
-     "no point lies below the origin: are the points counted from the road\\? Say with --origin X,Y,Z"),
-    (STREET.points + AXLE, (), r"counted from the axle or the road\? Say with --origin X,Y,Z where the sensor is"),
+     "no point lies below the origin: are the points relative to the road\\? Give the sensor's position with --origin"),
+    (STREET.points + AXLE, (), r"relative to the axle or the road\? Give the sensor's position with --origin X,Y,Z"),
     (STREET.points, ("--height", "50"), "the sensor's height is given as 50.00 m, outside of 0.1 to 10 m"),
     (STREET.points, ("--height", "0.04"), "the sensor's height is given as 0.04 m, outside of 0.1 to 10 m"),
     (STREET.points, ("--sensor", "pandar40p"),
      "the returns do not lie at the beams of Pandar40P: name another --sensor, or none"),
     (np.concatenate([DENSE, (Rigid.from_yaw(0.4, (1.2, 0.8, -0.3)) @ DENSE).astype(np.float32)]), (),
-     rf"no beams can be told apart among {2 * len(DENSE)} points, .* give each by itself, with --together"),
+     rf"the beams of the {2 * len(DENSE)} points cannot be identified, .* give one file for each, with --together"),
     (BOX, (),
      r"all \d+ returns lie within 2.7 m ahead or behind and 1.1 m aside, .* taken to be 1.80 m high"),
 ]  # fmt: skip

@@ -234,5 +234,5 @@ def test_all_commands_say_what_the_monitor_in_the_box_finds_in_the_same_words(tm
         assert (code, err) == (0, "")
         said.append(re.findall(r"(?:nothing|INCONSISTENT|DEGRADED)\b.*?(?=; \d+\.\d kB$| → |$)", out, re.MULTILINE))
     assert len(said[0]) == 12
-    assert [line.count("one sweep cannot tell") for line in said[0]] == [1] * 10 + [0] * 2
+    assert [line.count("one sweep alone cannot reveal") for line in said[0]] == [1] * 10 + [0] * 2
     assert all(each == said[0] for each in said[1:])

@@ -179,7 +179,7 @@ def test_sweeps_that_cannot_be_read_further_are_estimated_so_far(batch: int) -> 
         ({"threads": 0}, "threads must be at least 1, got 0"),
         (
             {"estimator": TemporalEstimator(ShadowMap(GRID))},
-            "an estimator that remembers takes sweeps one after the other",
+            "an estimator with its own history takes sweeps one after the other",
         ),
     ],
 )

@@ -74,9 +74,9 @@ def test_history_changes_estimates_where_it_is_used_and_is_refused_elsewhere(
         with pytest.raises(ValueError, match="pose"):
             estimator.estimate(now, [earlier[0].replace(world_from_sensor=None)])
     else:
-        with pytest.raises(ValueError, match=f"history must be left out for {estimator.name}, which looks at one"):
+        with pytest.raises(ValueError, match=f"history must be left out for {estimator.name}, which uses one sweep"):
             estimator.estimate(now, earlier)
-        with pytest.raises(ValueError, match=f"history helps shadow_map, got {estimator.name}"):
+        with pytest.raises(ValueError, match=f"history is for shadow_map, got {estimator.name}"):
             estimator.stream([now], history=2)
 
 
@@ -93,7 +93,7 @@ def test_probabilities_abstain_and_masks_cannot(estimator: Estimator, street: Sw
         assert found.threshold == 0.9
         assert same(estimator.with_abstention(0.5).estimate(street), before)
     else:
-        with pytest.raises(ValueError, match=f"says how sure it is, got 0.9 for {estimator.name}, whose masks"):
+        with pytest.raises(ValueError, match=f"estimator of probabilities, got 0.9 for {estimator.name}, whose masks"):
             estimator.with_abstention(0.9)
 
 
@@ -138,7 +138,7 @@ def test_weights_alone_say_which_network_they_are() -> None:
 
 def test_the_network_that_is_gone_is_the_default_with_one_warning(street: Sweep) -> None:
     assert "viewnet" not in ESTIMATORS
-    with pytest.warns(FutureWarning, match="method viewnet is gone, and shadow_map is taken") as seen:
+    with pytest.warns(FutureWarning, match="method viewnet was removed, and shadow_map") as seen:
         found = load_estimator("viewnet", target=PEDESTRIAN, abstain_below=0.8)
     assert len(seen) == 1
     assert seen[0].filename == __file__
@@ -160,7 +160,7 @@ def test_a_file_of_weights_is_an_estimator(tmp_path: Path, street: Sweep) -> Non
     ("options", "message"),
     [
         ({"name": "oracle"}, "method must be one of continuous, .*, mc_dropout, got 'oracle'"),
-        ({"name": "unet", "seed": 3}, "seed must be left out for unet, which draws no masks, got 3; use mc_dropout"),
+        ({"name": "unet", "seed": 3}, "seed must be left out for unet, which samples no masks, got 3; use mc_dropout"),
         ({"name": "unet", "abstain_below": 0.2}, r"abstain_below must lie in \[0.5, 1\], got 0.2"),
         ({"name": "shadow_map", "abstain_below": 1.2}, r"abstain_below must lie in \[0.5, 1\], got 1.2"),
     ],

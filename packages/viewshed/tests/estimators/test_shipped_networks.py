@@ -68,7 +68,9 @@ def test_a_graphics_card_is_asked_for_the_network_in_float32(monkeypatch: pytest
     monkeypatch.setattr(onnxruntime, "get_available_providers", lambda: ["CPUExecutionProvider"])
     with pytest.raises(ImportError, match="engine cuda needs an ONNX Runtime with CUDA"):
         load_network("unet", ROAD, device="cuda")
-    with pytest.raises(ValueError, match="engine must be onnxruntime for road_int8, a network in bytes, got cuda"):
+    with pytest.raises(
+        ValueError, match="engine must be onnxruntime for road_int8, a network with 8-bit weights, got cuda"
+    ):
         load_network("unet", ROAD, weights="road_int8", device="cuda")
     with pytest.raises(ValueError, match="device must be one of cpu, cuda, got 'abacus'"):
         load_network("unet", ROAD, device="abacus")

@@ -148,6 +148,6 @@ def test_a_file_makes_an_estimator_for_its_grid_and_target_only(tmp_path: Path, 
     with pytest.raises(ValueError, match="passes must be at least 2 for mc_dropout; use unet for one pass, got 1"):
         load_network("mc_dropout", GRID, weights=path, passes=1)
     with pytest.raises(
-        ValueError, match=r"method mc_dropout needs weights, .* on a grid of 64x16, but for: .*; give --weights"
+        ValueError, match=r"method mc_dropout needs weights, .* on a grid of 64x16, only for: .*; give --weights"
     ):
         load_network("mc_dropout", GRID)

@@ -68,14 +68,14 @@ def test_mountings_and_times_that_cannot_be_are_refused() -> None:
     for other, message in [
         (_view({}, None), "must have its mounting, number 1 has none"),
         (_view({}, Rigid.identity(), t_ns=700_000_000), "within 0.5 s, got 0.7 s"),
-        (_view({}, turned), "sweep 0 and 1 it differs by 37°; state roll and pitch"),
+        (_view({}, turned), "sweeps 0 and 1 it differs by 37°; give roll and pitch"),
         (_view({}, Rigid.identity(), target=viewshed.PEDESTRIAN), "one target"),
     ]:
         with pytest.raises(ValueError, match=message):
             union_of_views([here, other])
     with pytest.raises(ValueError, match="one or more, got none"):
         union_of_views([])
-    with pytest.raises(ValueError, match=r"of several LiDARs each must be a Sweep"):
+    with pytest.raises(ValueError, match=r"several LiDARs must be Sweeps"):
         viewshed.estimate([_sweep(0.0), np.zeros((3, 3))])  # type: ignore[arg-type]
     with pytest.raises(ValueError, match=r"of several LiDARs .* without history"):
         viewshed.estimate([_sweep(0.0), _sweep(9.0)], history=[])

@@ -118,7 +118,7 @@ def test_pcd_azimuth_of_any_unit_and_sign_becomes_ours(scale: float, sign: float
         ("ring", [0, 1, 70_000, 3, 4, 5], "ring is left out"),
         ("time", [0, 0.1, np.nan, 0.3, 0.4, 0.5], "time is left out: it must be finite and within one revolution"),
         ("time", [0, 0.1, 0.2, 0.3, 0.4, 2.1], "time is left out"),
-        ("azimuth", [0.3, 9.1, 4.4, 2.2, 7.7, 1.1], "azimuth is left out: no unit, sign and zero"),
+        ("azimuth", [0.3, 9.1, 4.4, 2.2, 7.7, 1.1], "azimuth is left out: no choice of unit, sign and zero"),
     ],
 )
 def test_columns_of_others_that_cannot_be_are_left_out_with_a_warning(

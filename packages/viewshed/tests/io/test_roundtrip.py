@@ -109,7 +109,7 @@ def test_written_files_replace_the_old_one_and_leave_nothing_else(tmp_path: Path
     assert [file.name for file in tmp_path.iterdir()] == ["a.bin"]
     with pytest.raises(ValueError, match="a sweep without ring cannot be written as nuScenes"):
         write_sweep(Sweep(np.ones((3, 3), np.float32)), tmp_path / "b.pcd.bin")
-    with pytest.raises(ValueError, match=r"b\.feather: format cannot be known by the name"):
+    with pytest.raises(ValueError, match=r"b\.feather: format is not known from the name"):
         write_sweep(Sweep(np.ones((3, 3), np.float32)), tmp_path / "b.feather")
     with pytest.raises(ValueError, match=r"format must be one of .* to write, got 'ouster'"):
         write_sweep(Sweep(np.ones((3, 3), np.float32)), tmp_path / "b.pcap", format="ouster")

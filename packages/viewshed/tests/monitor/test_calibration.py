@@ -118,7 +118,7 @@ def test_where_the_base_calls_many_sweeps_it_is_another_sensor_and_all_count(mad
 
 def test_too_short_streams_are_named_as_the_cause(made: Calibration) -> None:
     one = benign_stream(0)
-    with pytest.raises(ValueError, match="got 0 besides 150 sweeps in streams of 5 or fewer, without a past"):
+    with pytest.raises(ValueError, match="got 0 besides 150 sweeps in streams of 5 or fewer, which are too short"):
         Calibration.fit([one[k : k + 1] for k in range(len(one))], HZ, KINDS, base=made)
 
 

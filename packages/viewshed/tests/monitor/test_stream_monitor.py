@@ -181,7 +181,7 @@ def test_another_sensor_has_its_own_past() -> None:
 
 @pytest.mark.parametrize(
     ("without", "note"),
-    [(("world_from_sensor",), "without poses, 6 of 17 kinds of evidence look at nothing"), ((), None)],
+    [(("world_from_sensor",), "without poses, 6 of 17 kinds of evidence have no data"), ((), None)],
 )
 def test_evidence_that_looks_at_nothing_is_noted_once(without: tuple[str, ...], note: str | None) -> None:
     monitor = _monitor()

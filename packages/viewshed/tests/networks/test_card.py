@@ -94,10 +94,10 @@ def test_a_card_comes_back_from_json_as_it_was() -> None:
         ({"divisor": 0.0}, "divisor must be positive, got 0.0"),
         (
             {"inputs": ["counts", "range"]},
-            r"network must be shown the counts alone, .*shown \['counts', 'range'\] with fo",
+            r"network must take only counts as input, .*inputs \['counts', 'range'\] and fo",
         ),
-        ({"shape": {"width": 8, "depth": 2, "dropout": 0.0, "channels": 2}}, "shown the counts alone"),
-        ({"shape": {"width": 8, "depth": 2, "dropout": 0.0, "channels": 1, "fold": 4}}, "with fold 4; use shadow_map"),
+        ({"shape": {"width": 8, "depth": 2, "dropout": 0.0, "channels": 2}}, "take only counts as input"),
+        ({"shape": {"width": 8, "depth": 2, "dropout": 0.0, "channels": 1, "fold": 4}}, "and fold 4; use shadow_map"),
         ({"heights_m": [3.0, -3.0]}, r"heights_m must be \(low, high\) with low < high, got \(3.0, -3.0\)"),
         ({"heights_m": ["a", "b"]}, r"card must be whole, got one that is damaged"),
         ({"clip": 100.5}, r"card must be whole, got one that is damaged"),

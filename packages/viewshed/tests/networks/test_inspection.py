@@ -55,7 +55,7 @@ def test_what_version_0_3_folded_or_showed_more_is_refused_in_one_line() -> None
     told |= {"inputs": ["shadow_map", "range"], "shape": {**told["shape"], "channels": 2, "fold": 4}}
     model.metadata_props[0].value = json.dumps(told)
     model.graph.node.insert(0, helper.make_node("SpaceToDepth", ["inputs"], ["folded"], blocksize=4))
-    line = r"^a.onnx: network must be shown the counts alone, .*\['shadow_map', 'range'\] with fold 4; use shadow_map$"
+    line = r"^a.onnx: network must take only counts as input, .*\['shadow_map', 'range'\] and fold 4; use shadow_map$"
     with pytest.raises(ValueError, match=line):
         inspect_network(sealed(model), "a.onnx")
 

@@ -150,13 +150,13 @@ def test_time_that_goes_back_begins_anew_and_says_so() -> None:
     assert tracker.step(60_000.0, cars((2.0, 0.0)), SeesAll(60_000.0)).ids.tolist() == [2]  # off for a night
 
 
-@pytest.mark.parametrize(("back_s", "words"), [(0.0, "a sweep again"), (0.2, "a sweep 0.200 s late")])
+@pytest.mark.parametrize(("back_s", "words"), [(0.0, "a sweep with a repeated time"), (0.2, "a sweep 0.200 s late")])
 def test_a_late_or_doubled_sweep_changes_nothing_and_is_named(back_s: float, words: str) -> None:
     tracker = Tracker()
     before = _drive(tracker, 20)
     t_s = before.t_s - back_s
     tracks = tracker.step(t_s, cars((90.0, 9.0)), SeesAll(t_s))
-    assert tracks.notes == (f"{words}: its detections left out",)
+    assert tracks.notes == (f"{words}: its detections are left out",)
     assert tracks.detection.tolist() == [-1]
     np.testing.assert_array_equal(tracks.states, before.states)
     after = tracker.step(2.0, cars((20.0, 0.0)), SeesAll(2.0))
@@ -168,9 +168,7 @@ def test_poses_that_begin_or_end_drop_the_tracks_and_say_so() -> None:
     tracker = Tracker()
     _drive(tracker, 5)
     tracks = tracker.step(0.5, cars((5.0, 0.0)), SeesAll(0.5, in_world=False))
-    assert tracks.notes == (
-        "tracks are in the sensor's level frame, for want of poses from now on: all tracks dropped",
-    )
+    assert tracks.notes == ("tracks are in the sensor's level frame (no poses) from now on: all tracks dropped",)
     assert not tracks.in_world
     assert tracks.ids.tolist() == [1]
 
@@ -191,8 +189,8 @@ def test_odds_of_false_detections_that_nobody_gives_are_noted_once() -> None:
     )]  # fmt: skip
     late = Tracker()
     late.step(0.1, cars(), SeesAll(0.1))
-    assert "false detections are not known" in late.step(0.0, cars((5.0, 0.0)), SeesAll(0.0)).notes[0]
-    note = "false detections are not known for this view: 0.1 for one of an object taken; give false_odds"
+    assert "the rate of false detections is not known" in late.step(0.0, cars((5.0, 0.0)), SeesAll(0.0)).notes[0]
+    note = "the rate of false detections is not known for this view: 0.1 per true one assumed; give false_odds"
     assert said == [(), (note,), ()]
     assert not Tracker().step(0.0, cars((5.0, 0.0)), SeesAll(0.0), false_odds=np.array([0.1])).notes
 

@@ -104,7 +104,7 @@ class Reader:
             return major, extra, 0
         argument = int.from_bytes(data[at + 1 : end], "big")
         if argument < (24 if extra == 24 else 1 << (4 * size)):
-            raise ValueError("numbers in a payload must be as short as they can be")
+            raise ValueError("numbers in a payload must have the shortest encoding")
         return major, extra, argument
 
     def value(self, depth: int = 0) -> Any:
@@ -175,7 +175,7 @@ class Reader:
             if raw != b"\x7e\x00":
                 raise ValueError("NaN in a payload must be the half-precision one")
         elif extra > 25 and _fits(value, _FLOATS[extra - 1]):
-            raise ValueError("floats in a payload must be as short as they can be")
+            raise ValueError("floats in a payload must have the shortest encoding")
         return value
 
 

@@ -93,7 +93,7 @@ def encode_fov(estimate: FovEstimate) -> bytes:
         code = _core.encode_view(estimate.state, coded_level, deviations, *sensor_cell(grid))
         if 0 < len(code) <= max_code_bytes(grid):
             return code
-    raise ValueError("the states of a view must be regular enough for two bits a cell; got what looks like noise")
+    raise ValueError("the states of a view must compress to two bits a cell, got states that look like noise")
 
 
 def has_std(estimate: FovEstimate) -> bool:

@@ -201,7 +201,7 @@ class CommandCenter:
         """
         columns = self._columns(reports)
         if self._last_s is not None and t_s <= self._last_s:
-            raise ValueError(f"t_s must rise, got {t_s:.3f} s after {self._last_s:.3f} s; begin a new center")
+            raise ValueError(f"t_s must increase, got {t_s:.3f} s after {self._last_s:.3f} s; create a new center")
         # 1. to 3. Correct poses, match detections, track.
         trust = np.ones(len(reports)) if self.trusting else self._weights[columns]
         reports = registered(reports)

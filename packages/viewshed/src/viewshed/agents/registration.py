@@ -115,7 +115,7 @@ def registered_poses(views: Sequence[FovEstimate], stds: Sequence[PoseStd]) -> l
     poses = []
     for view in views:
         if view.world_from_level is None:
-            raise ValueError(f"the view of {view.agent} must have a pose: without one it cannot be put right")
+            raise ValueError(f"the view of {view.agent} must have a pose: without one it cannot be aligned")
         poses.append(view.world_from_level)
     if len(views) < 2 or not any(std.matters for std in stds):
         return poses

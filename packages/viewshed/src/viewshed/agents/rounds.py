@@ -59,10 +59,10 @@ MAX_CELLS, MAX_COARSENING = 512, 4.0
 
 WHY = {
     "reports": "its reports contradict the others",
-    "opened": "its view opened at once",
-    "misplaced": "its surfaces do not lie on those of others",
+    "opened": "its visible area grew suddenly",
+    "misplaced": "its surfaces do not match those of others",
     "through": "it sees through surfaces of others",
-    "withheld": "it no longer reports what it had reported",
+    "withheld": "it no longer reports objects that it reported before",
 }
 """Text of an accusation, by the question of :data:`QUESTIONS` whose answer speaks most against the agent."""
 
@@ -130,10 +130,10 @@ class Round:
     def sentences(self) -> list[str]:
         """Return sentences on accused, disputed and missing agents and on gaps; empty if there are none."""
         disputed = ", ".join(np.array(self.picture.agents)[self.disputed])
-        sentences = [f"{agent} is accused: {why}; it counts little" for agent, why in self.reasons().items()]
+        sentences = [f"{agent} is accused: {why}; its reports count little" for agent, why in self.reasons().items()]
         sentences += [f"{disputed}: one of them lies, and no third view says which"] if disputed else []
         if self.missing:
-            sentences.append(f"{self._missing_text} heard lately and missing: they contradict nobody")
+            sentences.append(f"{self._missing_text} heard recently, missing now: they contradict nobody")
         return sentences + self.gaps()
 
     def gaps(self) -> list[str]:
@@ -285,7 +285,7 @@ class Rounds:
             raise ValueError(f"t_s and arrived_s must be finite, got {t_s} and {now_s}; leave the report out")
         self.notes = []
         if now_s < self._now_s - 10.0 * self.slop_s:
-            self.notes.append("time went back: the center begins anew")
+            self.notes.append("time went back: the center starts over")
             self._center, self._open, self._states, self._now_s = None, [], {}, -np.inf
             self._last_s, self._last_agents = -np.inf, ()
         self._now_s = max(self._now_s, now_s)
@@ -331,7 +331,7 @@ class Rounds:
     def _place_of(self, agent: str) -> _AgentState | None:
         """Return the state of an agent that reports now; None, with a note, if it has no place."""
         if self.agents and agent not in self.agents:
-            self.notes.append(f"{agent}: is none of {', '.join(self.agents)}, its report is left out")
+            self.notes.append(f"{agent}: is not one of {', '.join(self.agents)}, its report is left out")
             return None
         state = self._states.get(agent)
         if state is None:
@@ -344,7 +344,7 @@ class Rounds:
                     )
                     return None
                 del self._states[longest_silent]
-                self.notes.append(f"{longest_silent}: was silent for {SILENT_S:g} s, {agent} has its place")
+                self.notes.append(f"{longest_silent}: was silent for {SILENT_S:g} s, {agent} takes its place")
             state = self._states[agent] = _AgentState(self._now_s, self._now_s)
         if self._now_s - state.last_s >= HEARD_S:
             state.since_s = self._now_s
@@ -431,7 +431,7 @@ class Rounds:
         )  # fmt: skip
         if missing:
             self.notes.append(
-                f"{', '.join(missing)}: heard lately and missing at {self._last_s:.2f} s; check clocks and links"
+                f"{', '.join(missing)}: heard recently, missing at {self._last_s:.2f} s; check clocks and links"
             )
         try:
             center = self._center_with(open_round.reports)
@@ -440,7 +440,7 @@ class Rounds:
             return Round.of(picture, missing, {agent: count for agent, count in refused.items() if count})
         except Exception as error:
             problem = f"{type(error).__name__}: {error}"
-            self.notes.append(f"the round of {self._last_s:.2f} s fails and is left out: {problem}")
+            self.notes.append(f"the round of {self._last_s:.2f} s failed and is left out: {problem}")
             return None
 
     def _center_with(self, reporting: Mapping[str, object]) -> CommandCenter:
@@ -453,5 +453,5 @@ class Rounds:
         if (*staying, *new) != known:
             self._center.regroup((*staying, *new))
         if new:
-            self.notes.append(f"{', '.join(new)} came in: at the prior, the others keep their records")
+            self.notes.append(f"{', '.join(new)} joined: its trust starts at the prior, the others keep theirs")
         return self._center

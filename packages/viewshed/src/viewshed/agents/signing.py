@@ -58,7 +58,9 @@ class VerifyingKey:
                 f"got {self.public.hex()} of agent {self.agent!r}; make a new key"
             )
         if not 0 <= self.from_ns <= self.until_ns:
-            raise ValueError(f"a key must be valid from some time until later, got {self.from_ns} to {self.until_ns}")
+            raise ValueError(
+                f"a key must be valid from one time until a later one, got {self.from_ns} to {self.until_ns}"
+            )
 
     @property
     def key_id(self) -> bytes:
@@ -133,7 +135,9 @@ def require_private(path: str | Path) -> None:
     """Raise ValueError if users other than its owner may read or write the file of a private key."""
     mode = stat.S_IMODE(Path(path).stat().st_mode)
     if os.name == "posix" and mode & 0o077:
-        raise ValueError(f"a private key must be its owner's alone, got mode {mode:04o} of {path}; chmod 600 {path}")
+        raise ValueError(
+            f"a private key must be readable by its owner only, got mode {mode:04o} of {path}; chmod 600 {path}"
+        )
 
 
 def _key_bytes(path: str) -> bytes:
@@ -261,7 +265,8 @@ def read_heading(payload: bytes) -> MessageHeading:
         values.append(reader.value(1))
         if expected_key == 0 and type(values[0]) is int and values[0] != VERSION:
             raise OtherVersionError(
-                f"the version of a payload must be {VERSION}, got {values[0]}; bring agent and receiver to one release"
+                f"the version of a payload must be {VERSION}, got {values[0]}; install the same release on agent and"
+                " receiver"
             )
     version, agent, number, t_ns = values
     if type(version) is not int or type(agent) is not str or type(t_ns) is not int:

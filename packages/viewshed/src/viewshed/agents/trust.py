@@ -425,7 +425,7 @@ class TrustLimits:
             ValueError: there are fewer than two scenes, or a number is not finite.
         """
         if not len(answers) == len(doubt) > 1:
-            raise ValueError(f"limits must be of two benign scenes or more, got {len(answers)} and {len(doubt)}")
+            raise ValueError(f"limits must come from two benign scenes or more, got {len(answers)} and {len(doubt)}")
         if not (np.isfinite(answers).all() and np.isfinite(doubt).all()):
             raise ValueError("answers and doubt must be finite; leave out scenes without reports")
         score = np.zeros(len(answers))

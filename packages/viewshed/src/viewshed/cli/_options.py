@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from viewshed.sweep import Sweep
 
 
-_GRID_HELP = "Cells around the sensor: road, indoor, paper, paper_indoor, or 256x64: 256 a side, out to 64 m"
+_GRID_HELP = "Grid around the sensor: road, indoor, paper, paper_indoor, or 256x64: 256 cells a side, out to 64 m"
 
 GridName = Annotated[str, typer.Option("--grid", help=f"{_GRID_HELP}.")]
 
@@ -36,59 +36,57 @@ GridOfWeights = Annotated[
 
 SensorName = Annotated[
     str,
-    typer.Option(
-        "--sensor", help="The LiDAR: auto (from the points), none, a model (hdl32e), or a TOML file of beams."
-    ),
+    typer.Option("--sensor", help="The LiDAR: auto (from the points), none, a model (hdl32e), or a TOML beam table."),
 ]
-FormatName = Annotated[str, typer.Option("--format", help="File format; auto tells it by content and name.")]
+FormatName = Annotated[str, typer.Option("--format", help="File format; auto detects it from content and name.")]
 FrameName = Annotated[
     str | None,
     typer.Option("--file-frame", help="Axes of the file's points: sensor (x forward, y left), nuscenes, carla, …"),
 ]
 Height = Annotated[float | None, typer.Option("--height", help="Sensor height above the ground in meters, if known.")]
-Origin = Annotated[
-    str | None, typer.Option("--origin", help="Where the sensor stands in the file's frame, X,Y,Z in meters.")
-]
-Topic = Annotated[
-    str | None, typer.Option("--topic", help="In a bag with several topics of clouds or scans: the one to read.")
-]
+Origin = Annotated[str | None, typer.Option("--origin", help="Sensor position in the file's frame, X,Y,Z in meters.")]
+Topic = Annotated[str | None, typer.Option("--topic", help="Topic to read, if a bag has several with clouds or scans.")]
 Poses = Annotated[
     Path | None,
-    typer.Option("--poses", help="Poses of the sweeps: KITTI, TUM, or latitude and longitude (.pose files)."),
+    typer.Option("--poses", help="File of sweep poses: KITTI, TUM, or latitude and longitude (.pose files)."),
 ]
 Crs = Annotated[
     str | None,
     typer.Option(
-        "--crs", help="Reference system that the poses, or the points with --origin, lie in, such as EPSG:25832."
+        "--crs", help="Coordinate reference system of the poses, or of the points with --origin, such as EPSG:25832."
     ),
 ]
 Number = Annotated[
-    int, typer.Option("--number", min=0, help="In a file or recording of several sweeps: which one, counted from 0.")
+    int, typer.Option("--number", min=0, help="Which sweep of a file or recording with several, counted from 0.")
 ]
 RingSource = Annotated[
     str,
-    typer.Option("--ring", help="file: take the rings of the file, if it has any; none: find them from the points."),
+    typer.Option("--ring", help="file: use the rings in the file, if it has any; none: recover them from the points."),
 ]
 VehicleYaw = Annotated[
     float | None,
-    typer.Option("--vehicle-yaw", help="Heading of the own vehicle in the sensor's frame, in degrees, if known."),
+    typer.Option("--vehicle-yaw", help="Heading of the ego vehicle in the sensor's frame, in degrees, if known."),
 ]
 Attitude = Annotated[
     str | None,
-    typer.Option("--attitude", help="Tilt of the sensor, if known: unit quaternion W,X,Y,Z that turns its axes level."),
+    typer.Option(
+        "--attitude", help="Tilt of the sensor, if known: unit quaternion W,X,Y,Z that rotates its axes to level."
+    ),
 ]
 Index = Annotated[
     Path | None, typer.Option("--index", help="JSON file that lists sweeps with their axes, heights and poses.")
 ]
-_TARGET_HELP = "What a cell counts as visible for: car or pedestrian"
+_TARGET_HELP = "Object whose visibility is estimated: car or pedestrian"
 TargetName = Annotated[str, typer.Option("--target", help=f"{_TARGET_HELP}.")]
 TargetOfWeights = Annotated[
     str | None, typer.Option("--target", help=f"{_TARGET_HELP}. If not given, that of --weights, or car.")
 ]
-Parameters = Annotated[str, typer.Option("--parameters", help="Of the method: sound (ours) or paper (as published).")]
+Parameters = Annotated[
+    str, typer.Option("--parameters", help="Parameters of the method: sound (viewshed's own) or paper (as published).")
+]
 Sources = Annotated[list[str], typer.Argument(metavar="SRC...", help="A data set, recordings, or files.")]
 Split = Annotated[str | None, typer.Option(help="Only this split of a data set.")]
-Workers = Annotated[int | None, typer.Option(help="Processes; one for each core if not given.")]
+Workers = Annotated[int | None, typer.Option(help="Number of processes; one per core if not given.")]
 EngineName = Annotated[str, typer.Option(help="Where jobs run: local, or ray (a cluster).")]
 AUTO = "auto"
 
@@ -168,8 +166,8 @@ class Reading:
         step_m = float(np.spacing(np.float32(max(map(abs, origin_m)))))
         if step_m > _COARSE_M:
             note(
-                f"coordinates as large as --origin are read to {step_m:g} m; subtract the sensor's position before they"
-                " are written"
+                f"the points are rounded to {step_m:g} m at coordinates as large as --origin; subtract the sensor's"
+                " position before you save them"
             )
         return sweep.seen_from(origin_m)
 
@@ -183,7 +181,7 @@ class Reading:
         if self.format == AUTO and is_recording(path):
             return self._recorded(path)
         if self.topic is not None:
-            raise ValueError(f"--topic goes with a bag, got {path}; leave it out")
+            raise ValueError(f"--topic is only for bags, got {path}; leave it out")
         file_frame: str | Rigid | None = self.file_frame
         if is_moved:
             file_frame = Rigid(np.eye(3), -np.array(parse_numbers("origin", self.origin, 3)))
@@ -238,11 +236,13 @@ class ObjectOptions:
 
     objects: Annotated[bool, typer.Option("--objects", help="Detect, track and explain objects as well.")] = False
     fuse: Annotated[
-        bool, typer.Option("--fuse", help="Put several agents together as well: joint tracks, trust, disputes.")
+        bool, typer.Option("--fuse", help="Fuse several agents as well: joint tracks, trust, disputes.")
     ] = False
     attack: Annotated[
         str | None,
-        typer.Option("--attack", help="Forge sweeps, objects or claimed views: an attack (a wrong name lists all)."),
+        typer.Option(
+            "--attack", help="Simulate an attack that forges sweeps, objects or claimed views (a wrong name lists all)."
+        ),
     ] = None
     attacked: Annotated[
         str | None, typer.Option("--attacked", help="Agents that are attacked, AGENT,AGENT; all if not given.")
@@ -376,9 +376,9 @@ def parse_numbers(name: str, text: str | None, count: int) -> list[float] | None
     try:
         numbers = [float(word) for word in text.split(",")]
     except ValueError as error:
-        raise ValueError(f"{name} must be {count} numbers with commas, got {text!r}") from error
+        raise ValueError(f"{name} must be {count} numbers separated by commas, got {text!r}") from error
     if len(numbers) != count:
-        raise ValueError(f"{name} must be {count} numbers with commas, got {len(numbers)} in {text!r}")
+        raise ValueError(f"{name} must be {count} numbers separated by commas, got {len(numbers)} in {text!r}")
     return numbers
 
 
@@ -413,7 +413,7 @@ def parse_target(name: str) -> Target:
 
 Weights = Annotated[
     str | None,
-    typer.Option("--weights", help="For a network: its ONNX file, or the name of weights that come with viewshed."),
+    typer.Option("--weights", help="For a network: its ONNX file, or the name of weights shipped with viewshed."),
 ]
 Passes = Annotated[int | None, typer.Option("--passes", help="Passes of the method mc_dropout; 10 if not given.")]
 Seed = Annotated[int | None, typer.Option("--seed", help="Seed of the method mc_dropout; 0 if not given.")]
@@ -422,7 +422,7 @@ HistorySweeps = Annotated[
     int,
     typer.Option(
         "--history", min=0, max=20,
-        help="Earlier sweeps of a recording that help shadow_map, a second or more apart; 5 do well.",
+        help="Number of earlier sweeps that shadow_map uses, a second or more apart; 5 is a good choice.",
     ),
 ]  # fmt: skip
 
@@ -438,7 +438,7 @@ WithMonitor = Annotated[
     bool,
     typer.Option(
         "--monitor",
-        help="Say whether each sweep is inconsistent (as forged ones are) or degraded (rain, dirt), and why.",
+        help="Report whether each sweep is inconsistent (as forged ones are) or degraded (rain, dirt), and why.",
     ),
 ]
 
@@ -446,7 +446,7 @@ MonitorFile = Annotated[
     Path | None,
     typer.Option(
         "--monitor-file",
-        help="Monitor made by viewshed monitor calibrate; without it, the one that comes with viewshed.",
+        help="Monitor made by viewshed monitor calibrate; the one shipped with viewshed if not given.",
     ),
 ]
 
@@ -456,7 +456,8 @@ AbstainBelow = Annotated[
     float | None,
     typer.Option(
         "--abstain-below",
-        help="Cells are visible from this probability, hidden below 1 minus it, else unknown; not of masks.",
+        help="Cells are visible from this probability, hidden below 1 minus it, else unknown; not for methods that"
+        " only give 0 or 1.",
     ),
 ]
 

@@ -63,7 +63,7 @@ def parse_results(text: str, known: Sequence[str] = ()) -> tuple[str, ...]:
     requested, known = text.split(","), known or tuple(dict.fromkeys((*RESULTS, *EXPORTERS)))
     for name in requested:
         if name not in known:
-            raise ValueError(f"results must be some of {','.join(known)}, with commas, got {text!r}")
+            raise ValueError(f"results must be some of {','.join(known)}, separated by commas, got {text!r}")
     return tuple(name for name in known if name in requested)
 
 

@@ -27,7 +27,7 @@ def chosen_files(files: list[Path], index: Path | None) -> Iterator[tuple[Path, 
     """Yield each file with its index entry; without files, all sweeps of the index."""
     if index is None:
         if not files:
-            raise ValueError("name at least one FILE, or an --index")
+            raise ValueError("give at least one FILE, or an --index")
         yield from ((file, None) for place in files for file in files_in(place))
         return
     from viewshed.io import read_index
@@ -36,7 +36,9 @@ def chosen_files(files: list[Path], index: Path | None) -> Iterator[tuple[Path, 
     if not files:
         named = [(file, entry) for file, entry in entries.items() if entry.points]
         if not named:
-            raise ValueError(f"{index} must name a sweep, got none: one has a number of points in its stats")
+            raise ValueError(
+                f"{index} must name a sweep, got none: the entry of a sweep has a number of points in its stats"
+            )
         yield from named
     for file in files:
         entry = entries.get(Path(os.path.realpath(file)))
@@ -53,12 +55,12 @@ def files_in(place: Path) -> list[Path]:
     if _PATTERN.search(str(place)) and not place.exists():
         matches = sorted((Path(name) for name in glob(str(place), recursive=True)), key=_by_numbers)  # noqa: PTH207
         if not matches:
-            raise ValueError(f"no file fits {place}")
+            raise ValueError(f"no file matches {place}")
         return [file for match in matches for file in files_in(match)]
     if _ADDRESS.match(str(place)) and not place.exists():
         raise ValueError(
-            f"{str(place).replace(':/', '://', 1)} must be a file or a folder, got an address; copy what lies there to"
-            " this machine first"
+            f"{str(place).replace(':/', '://', 1)} must be a file or a folder, got a URL; copy its content to this"
+            " machine first"
         )
     return _files_of_folder(place) if place.is_dir() else [place]
 

@@ -18,7 +18,7 @@ ProfileName = Annotated[
     str | None,
     typer.Option(
         "--profile",
-        help="Settings for a use: robot, infrastructure, mapping or contested; other options win over them.",
+        help="Settings for a use case: robot, infrastructure, mapping or contested; other options override them.",
     ),
 ]
 
@@ -27,18 +27,19 @@ CertifyOnAlarm = Annotated[
     typer.Option(
         "--certify",
         metavar="THREAT",
-        help="On an alarm go on claiming what no such attack can have opened: added (any points), window:5 (beams at a"
-        " target), … as in viewshed estimate; needs --sensor, --height and --attitude, unless the files say them.",
+        help="During an alarm, claim only cells that no such attack can have made visible: added (any points),"
+        " window:5 (beams at a target), … as in viewshed estimate; needs --sensor, --height and --attitude, unless"
+        " the files state them.",
     ),
 ]
 
 CertifiedOnly = Annotated[
     bool,
-    typer.Option("--certified-only", help="Claim only what --certify certifies, be there an alarm or not."),
+    typer.Option("--certified-only", help="Claim only what --certify certifies, even without an alarm."),
 ]
 
 Method = Annotated[
-    str | None, typer.Option(help="Method: shadow_map (if not given), majority_vote, first_blocker, unet, …")
+    str | None, typer.Option(help="Method: shadow_map (the default), majority_vote, first_blocker, unet, …")
 ]
 
 

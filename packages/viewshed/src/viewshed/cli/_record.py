@@ -171,7 +171,7 @@ class Center:
 
         if estimate.t_ns is None or estimate.world_from_level is None:
             raise ValueError(
-                f"--fuse needs a time and a pose of each sweep, {estimate.agent} has one without; give --poses"
+                f"--fuse needs a time and a pose of each sweep, {estimate.agent} has a sweep without them; give --poses"
             )
         claimed = estimate if self._adversary is None else self._adversary.view(estimate)
         report = AgentReport.of(claimed, objects.detections, PoseStd.stated_by(sweep), objects.ground)

@@ -42,7 +42,7 @@ def named_sweeps(
 
 
 _NO_HISTORY = (
-    "--history needs a pose and a time of each sweep, this has none; give --poses FILE, an --index with poses, or a"
+    "--history needs a pose and a time of each sweep, this one has none; give --poses FILE, an --index with poses, or a"
     " recording that has them"
 )
 
@@ -72,11 +72,11 @@ def one_sweep(reading: Reading, file: Path, index: Path | None = None, number: i
     jobs = list(chosen_files([file], index))
     for sweep in (sweep for _, sweeps in placed_sweeps(reading, jobs) for sweep in sweeps):
         if count > number:
-            note(f"{file} holds more sweeps; taken is number {number} from 0; --number takes another")
+            note(f"{file} holds more sweeps; number {number}, counted from 0, is used; --number selects another")
             break
         chosen, count = sweep, count + 1
     if count <= number:
-        raise ValueError(f"number must be below {count}, the sweeps of {file}, got {number}")
+        raise ValueError(f"number must be below {count}, the number of sweeps in {file}, got {number}")
     return chosen
 
 
@@ -101,5 +101,5 @@ def history_buffer(estimator: Estimator, sweeps: int) -> SweepBuffer | None:
     from viewshed.estimators.temporal import SweepBuffer
 
     if sweeps and not estimator.uses_history:
-        raise ValueError(f"--history helps shadow_map, got {estimator.name}, which looks at one sweep")
+        raise ValueError(f"--history is for shadow_map, got {estimator.name}, which uses one sweep only")
     return SweepBuffer(sweeps) if sweeps else None

@@ -87,7 +87,7 @@ def _estimators(
 
     if network != NetworkOptions() and not set(names) & set(LEARNED):
         raise ValueError(
-            f"--weights, --passes, --seed and --device go with {', '.join(LEARNED)}, got methods {','.join(names)}"
+            f"--weights, --passes, --seed and --device are for {', '.join(LEARNED)}, got methods {','.join(names)}"
         )
     one_pass = NetworkOptions(network.weights, device=network.device)
     supported = dict.fromkeys(LEARNED, one_pass) | {"mc_dropout": network}

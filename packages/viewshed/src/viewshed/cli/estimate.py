@@ -58,8 +58,9 @@ Certify = Annotated[
     str | None,
     typer.Option(
         metavar="THREAT",
-        help="Claim only what no such attack can have opened: added (any points), replaced:5 (beams), window:5,"
-        " wedge:10 (degrees), dropped:5. Needs --sensor, --height and --attitude, unless the file says them.",
+        help="Claim only cells that no such attack can have made visible: added (any points), replaced:5 (beams),"
+        " window:5, wedge:10 (degrees), dropped:5. Needs --sensor, --height and --attitude, unless the file states"
+        " them.",
     ),
 ]
 
@@ -67,13 +68,14 @@ Together = Annotated[
     bool,
     typer.Option(
         "--together",
-        help="The sweeps are of the LiDARs of one vehicle at one time: one estimate of all. Needs their mountings,"
-        " by --poses or --index.",
+        help="Make one estimate of all sweeps: they are of several LiDARs of one vehicle at one time. Needs their"
+        " mounting poses, by --poses or --index.",
     ),
 ]
 
 Results = Annotated[
-    str, typer.Option(help="What is written of each sweep: some of png,geojson,npz, or other formats of export.")
+    str,
+    typer.Option(help="Files to write for each sweep: some of png,geojson,npz, or other formats of viewshed export."),
 ]
 
 
@@ -100,14 +102,16 @@ def estimate(
     monitor: WithMonitor = False,
     monitor_file: MonitorFile = None,
     results: Results = "png,geojson,npz",
-    dark: Annotated[bool, typer.Option("--dark", help="Pictures on a dark page.")] = False,
-    json: Annotated[bool, typer.Option("--json", help="For programs: one JSON object a line and sweep.")] = False,
-    quiet: Annotated[bool, typer.Option("--quiet", help="Print nothing but what goes wrong.")] = False,
+    dark: Annotated[bool, typer.Option("--dark", help="Draw pictures on a dark background.")] = False,
+    json: Annotated[
+        bool, typer.Option("--json", help="For programs: print one JSON object per sweep, one per line.")
+    ] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", help="Print only errors and warnings.")] = False,
     out: Annotated[Path, typer.Option(help="Folder of the results.")] = Path("out"),
 ) -> None:
     """Estimate what each sweep could see: picture, GeoJSON and NPZ.
 
-    A file that cannot be read costs one line on standard error and does not stop the others; the exit code is then 2.
+    A file that cannot be read gives one line on standard error and does not stop the others; the exit code is then 2.
 
     Example: viewshed estimate sweep.pcd.bin --out out
     """
@@ -116,13 +120,15 @@ def estimate(
     from viewshed.io.export.crs import crs_of
 
     if history and batch > 1:
-        raise ValueError("--history goes with --batch 1: a sweep is remembered before the next one is estimated")
+        raise ValueError(
+            "--history needs --batch 1: each sweep is added to the history before the next one is estimated"
+        )
     if (monitor or monitor_file) and batch > 1:
-        raise ValueError("--monitor goes with --batch 1: it judges a sweep by those before it")
+        raise ValueError("--monitor needs --batch 1: it judges a sweep by those before it")
     if require_confirmation and not history:
-        raise ValueError("--require-confirmation goes with --history 1 or more: it claims what earlier sweeps saw")
+        raise ValueError("--require-confirmation needs --history 1 or more: it claims what earlier sweeps saw")
     if together and (history or batch > 1 or certify or monitor or monitor_file):
-        raise ValueError("--together makes one estimate: --history, --batch, --certify and --monitor go without it")
+        raise ValueError("--together makes one estimate: leave out --history, --batch, --certify and --monitor")
     if json and quiet:
         raise ValueError("--json and --quiet exclude each other; leave one out")
     kinds = parse_results(results)

@@ -26,7 +26,7 @@ def export(
         ),
     ] = "geojson",
     sectors: Annotated[int, typer.Option(help="For cpm: number of sectors of the view.")] = 16,
-    method: Annotated[str | None, typer.Option(help="Method, where FILE is a sweep; shadow_map if not given.")] = None,
+    method: Annotated[str | None, typer.Option(help="Method, if FILE is a sweep; shadow_map if not given.")] = None,
     grid: options.GridOfWeights = None,
     reading: Reading = DEFAULT_READING,
     index: options.Index = None,
@@ -38,7 +38,7 @@ def export(
     seed: Seed = None,
     device: Device = "cpu",
     out: Annotated[
-        str | None, typer.Option(help="Folder of the result, or its file NAME.ENDING; here if not given.")
+        str | None, typer.Option(help="Folder of the result, or its file NAME.ENDING; the current folder if not given.")
     ] = None,
 ) -> None:
     """Write the field of view for GIS, nav2, ROS, OSI or ETSI CPM.

@@ -37,20 +37,23 @@ def fuse(
     reading: Reading = DEFAULT_READING,
     index: options.Index = None,
     slop: Annotated[
-        float, typer.Option(min=0.0, max=1.0, help="Most seconds between sweeps that count as of the same time.")
+        float,
+        typer.Option(min=0.0, max=1.0, help="Maximum time difference of sweeps fused with each other, in seconds."),
     ] = 0.1,
     pose_std: Annotated[
         str | None,
-        typer.Option(help="Standard deviation of poses: METERS,DEGREES up to 0.25,0.6; if not given, as sweeps state."),
+        typer.Option(
+            help="Standard deviation of poses: METERS,DEGREES up to 0.25,0.6; that stated by each sweep if not given."
+        ),
     ] = None,
-    results: Annotated[str, typer.Option(help="What is written: some of jsonl,png,html.")] = "jsonl,png,html",
+    results: Annotated[str, typer.Option(help="Files to write: some of jsonl,png,html.")] = "jsonl,png,html",
     out: Annotated[Path, typer.Option(help="Folder of the results.")] = Path("fused"),
 ) -> None:
-    """Put together what several agents see; who contradicts whom.
+    """Fuse what several agents see, and find who contradicts whom.
 
-    Agents are those of a recording, or one for each file; their sweeps need times and poses in one world. One line for
-    each time, all numbers in fused.jsonl; pictures and a page of agents, what they see together, objects by belief, and
-    who contradicts whom.
+    The agents are those of a recording, or one for each file; their sweeps need times, and poses in one world frame.
+    Prints one line for each time. Writes all numbers to fused.jsonl, and pictures and a page that show the agents,
+    their joint view, the belief in each object, and who contradicts whom.
 
     Example: viewshed fuse junction.mcap --out fused
     """
@@ -79,7 +82,7 @@ def fuse(
         for line in center.notes:
             note(line)
         if fused is None:
-            failures.report(f"{t_s:.2f} s", ValueError("no report of this time could be put together with others"))
+            failures.report(f"{t_s:.2f} s", ValueError("no report of this time could be fused with others"))
             continue
         typer.echo(line_of(fused))
         note_gaps(fused, done[-1] if done else None)
@@ -96,7 +99,7 @@ def fuse(
         typer.echo(f"{len(done)} times → {out}")
     if failures.count or not done:
         if not done and not failures.count:
-            raise ValueError("sweeps must have times and poses to be put together, got none that do")
+            raise ValueError("sweeps must have times and poses to be fused, got none that do")
         raise typer.Exit(2)
 
 
@@ -120,7 +123,7 @@ def rounds(streams: list[Iterator[Named]], slop: float, failures: Failures) -> I
 def _with_times(stream: Iterator[Named], number: int, failures: Failures) -> Iterator[tuple[int, int, int, Named]]:
     for place, named in enumerate(stream):
         if named.sweep.t_ns is None or named.sweep.world_from_sensor is None:
-            problem = "sweeps must have a time and a pose to be put together with others; give --poses FILE"
+            problem = "sweeps must have a time and a pose to be fused; give --poses FILE"
             failures.report(named.file, ValueError(problem))
         else:
             yield named.sweep.t_ns, number, place, named
@@ -140,7 +143,7 @@ def parse_pose_std(words: str | None) -> PoseStd | None:
     except ValueError as error:
         raise ValueError(f"--pose-std must be METERS,DEGREES, both 0 or more, got {words!r}; as 0.2,0.5") from error
     if std.bounded != std:
-        note(f"--pose-std {words}: larger deviations than {MAX_STD_M:g} m and {degrees(MAX_YAW_STD):g}° count as these")
+        note(f"--pose-std {words}: reduced to the maximum, {MAX_STD_M:g} m and {degrees(MAX_YAW_STD):g}°")
     return std
 
 

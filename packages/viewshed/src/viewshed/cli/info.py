@@ -25,7 +25,7 @@ def info(
     index: options.Index = None,
     number: options.Number = 0,
 ) -> None:
-    """Say what a file holds: points, rings, sensor, ground, coverage.
+    """Print what a file holds: points, rings, sensor, ground, coverage.
 
     Example: viewshed info sweep.pcd.bin
     """
@@ -48,7 +48,7 @@ def _points(sweep: Sweep, leveled: LeveledSweep) -> Iterator[tuple[str, str]]:
         return
     range_m = np.linalg.norm(sweep.points, axis=1)
     quantiles = " / ".join(f"{value:.1f}" for value in np.quantile(range_m, [0.01, 0.5, 0.99, 1.0]))
-    yield "range", f"{quantiles} m (1 %, half, 99 %, all of the points)"
+    yield "range", f"{quantiles} m (quantiles of 1, 50, 99 and 100 %)"
     yield "left out", f"{1 - len(leveled.points) / len(sweep):.1%}: null returns and returns of the vehicle itself"
     degrees = np.unique(np.floor(np.rad2deg(leveled.azimuth))).size
     yield "azimuth", f"returns in {degrees} of 360 degrees"
@@ -66,10 +66,10 @@ def _beams(sweep: Sweep) -> Iterator[tuple[str, str]]:
         model, score = infer_sensor(sweep.points, sweep.ring)
         name = f"{model.name} (inferred, score {score:.2f})" if model else f"not known (best score {score:.2f})"
     else:
-        name = f"{model.name} (given)" if model else "not asked for"
+        name = f"{model.name} (given)" if model else "none given, not inferred"
     yield "sensor", name
     beams = recover_rings(sweep, model)
-    yield "rings", f"{beams.rings}, from {beams.source}; {beams.placed_share:.1%} of the points placed"
+    yield "rings", f"{beams.rings}, from {beams.source}; {beams.placed_share:.1%} of the points assigned to a ring"
     yield "columns", f"{beams.columns}; {beams.alone_share:.1%} of the points alone in their pixel"
 
 

@@ -35,20 +35,22 @@ if TYPE_CHECKING:
 HZ = 10.0
 """Assumed rate of drives without times."""
 
-monitor_app = typer.Typer(help="Say whether a sweep is inconsistent or degraded, where and why.")
+monitor_app = typer.Typer(help="Check if a sweep is inconsistent or degraded, where and why.")
 
 
 @monitor_app.callback()
 def monitor() -> None:
-    """Say whether a sweep is inconsistent or degraded, where and why."""
+    """Check if a sweep is inconsistent or degraded, where and why."""
 
 
 @monitor_app.command()
 def fit(
     sources: options.Sources,
     out: Annotated[Path, typer.Option(help="File of the monitor.")] = Path("monitor.npz"),
-    false_alarm_rate: Annotated[float, typer.Option(help="Share of benign sweeps that may alarm.")] = 0.05,
-    sigmas: Annotated[float, typer.Option(help="Standard deviations above its mean from which a cell is suspect.")] = 3,
+    false_alarm_rate: Annotated[float, typer.Option(help="Share of benign sweeps that may raise an alarm.")] = 0.05,
+    sigmas: Annotated[
+        float, typer.Option(help="A cell is suspect from this many standard deviations above its mean.")
+    ] = 3,
     split: options.Split = None,
     grid: options.GridName = "road",
     target: options.TargetName = "car",
@@ -59,7 +61,7 @@ def fit(
 ) -> None:
     """Fit the published monitor of Monte Carlo dropout.
 
-    On benign sweeps: thresholds on the first half, the limit on the second.
+    Sets the thresholds of the cells on the first half of the benign sweeps, and the alarm limit on the second half.
 
     Example: viewshed monitor fit benign --out monitor.npz
     """
@@ -91,7 +93,9 @@ def calibrate(
     out: Annotated[Path, typer.Option(help="File of the monitor.")] = Path("monitor.npz"),
     per_hour: Annotated[
         float | None,
-        typer.Option(help="False alarms an hour; as few as these drives support if not given, but not below 1."),
+        typer.Option(
+            help="False alarms an hour; the lowest rate that these drives support if not given, but at least 1."
+        ),
     ] = None,
     monitor_file: MonitorFile = None,
     split: options.Split = None,
@@ -102,12 +106,11 @@ def calibrate(
 ) -> None:
     """Calibrate the monitor on a minute or more of your own drives.
 
-    Nobody should have attacked them. Impossible sweeps are left out, and so are those that the base monitor calls (the
-    shipped one, or --monitor-file) and the tail of the others does not explain. Both are listed.
+    The drives must be free of attacks. Impossible sweeps are left out, and so are sweeps on which the base monitor (the
+    shipped one, or --monitor-file) alarms, if the scores of the other sweeps do not explain them. Both are listed.
 
-    How rare a change of the evidence is stays as it was calibrated before; how often an hour it alarms is then that of
-    these drives. N false alarms an hour need 60 / N minutes of driving. Sweeps count as ten a second unless they have
-    times.
+    The scores stay those of the base monitor; the alarm limit is set from these drives. N false alarms an hour need 60
+    / N minutes of driving. Without times, ten sweeps a second are assumed.
 
     Example: viewshed monitor calibrate my_drives --per-hour 10 --out monitor.npz
     """
@@ -150,10 +153,10 @@ def check(
 ) -> None:
     """Check sweeps with a monitor: verdict and reason, a line each.
 
-    A line has p-value and suspect sectors as well. Without --monitor-file it is the monitor that comes with viewshed.
-    Sweeps of a recording are judged with those before them; a folder of files with a sweep each is one stream if they
-    have times, or --poses gives them. A sweep that cannot be checked costs one line on standard error and does not stop
-    the others; the exit code is then 2. An alarm does not change the exit code.
+    Each line also has the p-value and the suspect sectors. Without --monitor-file, the monitor shipped with viewshed is
+    used. Each sweep of a recording is judged by the sweeps before it; a folder of files with one sweep each is one
+    stream if the files have times, or --poses gives them. A sweep that cannot be checked gives one line on standard
+    error and does not stop the others; the exit code is then 2. An alarm does not change the exit code.
 
     Example: viewshed monitor check drive --monitor-file monitor.npz
     """
@@ -183,10 +186,10 @@ def explain(
     poses: options.Poses = None,
     out: Annotated[str, typer.Option(help="Picture to write, or a folder for it.")] = "explained.png",
 ) -> None:
-    """Draw the suspect sectors of one sweep, and why they are.
+    """Draw the suspect sectors of one sweep, and give the reasons.
 
-    The map, and all evidence by azimuth. Without --monitor-file it is the monitor that comes with viewshed. A sweep of
-    a recording is judged with those before it.
+    The picture shows the map, and all evidence by azimuth. Without --monitor-file, the monitor shipped with viewshed is
+    used. A sweep of a recording is judged by the sweeps before it.
 
     Example: viewshed monitor explain drive.mcap --number 120 --out explained.png
     """
@@ -204,7 +207,7 @@ def explain(
             for reason in report.now.reasons[1:]:
                 typer.echo(f"  {reason}")
             return
-    raise ValueError(f"number must be below the sweeps of {source}, got {number}")
+    raise ValueError(f"number must be below the number of sweeps in {source}, got {number}")
 
 
 class SceneSweep(NamedTuple):
@@ -236,7 +239,7 @@ class _Source:
             if is_data_set(place):
                 yield from self._archived(place)
             elif self.split is not None:
-                raise ValueError(f"--split goes with a data set that has splits, got {place}")
+                raise ValueError(f"--split is for a data set that has splits, got {place}")
             else:
                 yield from self._read(place)
 
@@ -263,9 +266,7 @@ class _Source:
                 self.failures.report(path, error)
 
 
-NO_TIMES = (
-    "the files have no times: each is judged alone; give --poses, which brings order and times, or a recording of them"
-)
+NO_TIMES = "the files have no times, so each is judged alone; give --poses, which adds order and times, or a recording"
 
 LISTED = 6
 """Maximum number of suspicious sweeps listed by name."""
@@ -356,12 +357,12 @@ def _suspicious_sweeps(drives: _Drives, fitted: Calibration, base: Calibration, 
         for name, score in zip(names, scores_of(stream, base, limit), strict=True)
         if score > limit
     ]
-    what = f"the base monitor calls {len(alarms)} sweeps at one alarm an hour{': ' * bool(alarms)}{_listed(alarms)}"
+    what = f"at one alarm an hour, the base monitor flags {len(alarms)} sweeps{': ' * bool(alarms)}{_listed(alarms)}"
     if "left_out" in fitted.facts:
-        yield f"left out as attacked, for the other sweeps do not explain them; {what}"
+        yield f"left out as attacked, since the other sweeps do not explain their scores; {what}"
     else:
-        limits = f"the limit is {fitted.limit(per_hour):.2f}, the base's {base_limit:.2f}"
-        yield f"{limits}: attacked, or another sensor; {what}"
+        limits = f"the limit is {fitted.limit(per_hour):.2f}, that of the base monitor {base_limit:.2f}"
+        yield f"{limits}: the drives were attacked, or the sensor is another one; {what}"
 
 
 def _listed(names: list[str]) -> str:
@@ -376,11 +377,11 @@ def _run_of(file: Path | None, grid: BevGrid, weights: str | None, out: Path | N
 
     if file is not None and kind_of_monitor(file) == NAME:
         if per_hour is not None:
-            raise ValueError("--per-hour goes with a monitor of viewshed monitor calibrate, or with the shipped one")
+            raise ValueError("--per-hour is for a monitor of viewshed monitor calibrate, or for the shipped one")
         fitted = load_monitor(file)
         return _DeviationRun(out, fitted, estimator_of(fitted, weights))
     if weights is not None:
-        raise ValueError("--weights goes with a monitor of viewshed monitor fit, whose network it names")
+        raise ValueError("--weights is for a monitor of viewshed monitor fit: it gives the network of that monitor")
     run = SweepRun(out, stream_monitor(file, per_hour), grid)
     if per_hour is not None:
         note(run.monitor.calibration.promise(per_hour))

@@ -41,25 +41,23 @@ def record(
         str, typer.Option(help="For sim: preset of sensors and heights: drives, nuscenes, ugv, …")
     ] = "drives",
     world: Annotated[
-        str | None, typer.Option(help="For sim: street, junction, …; the preset's first if not given.")
+        str | None, typer.Option(help="For sim: world, such as street or junction; the preset's first if not given.")
     ] = None,
-    seconds: Annotated[float, typer.Option(help="For sim: how long the drive lasts.")] = 10.0,
-    hz: Annotated[float, typer.Option(help="For sim: sweeps of each agent a second.")] = 10.0,
-    agents: Annotated[int, typer.Option(help="For sim: vehicles that measure.")] = 1,
-    seed: Annotated[
-        int | None, typer.Option(help="For sim: seed of everything random; the preset's if not given.")
-    ] = None,
+    seconds: Annotated[float, typer.Option(help="For sim: duration of the drive in seconds.")] = 10.0,
+    hz: Annotated[float, typer.Option(help="For sim: sweeps per second of each agent.")] = 10.0,
+    agents: Annotated[int, typer.Option(help="For sim: number of vehicles with a LiDAR.")] = 1,
+    seed: Annotated[int | None, typer.Option(help="For sim: random seed; the preset's if not given.")] = None,
 ) -> None:
     """Write a bag: a simulated drive, or sweeps and what they saw.
 
-    A simulated drive comes with its truth. As viewshed replay --as-fast --to: every sweep is answered, and the same
-    command gives the same bytes.
+    A simulated drive includes its ground truth. As with viewshed replay --as-fast --to, every sweep is estimated, and
+    the same command gives the same bytes.
 
     Example: viewshed record sim --world junction --agents 3 --seconds 5 --to drive.mcap
     """
     is_simulated = [str(file) for file in files] == [SIMULATED]
     if is_simulated and reading != DEFAULT_READING:
-        raise ValueError("sim reads no file: leave out --topic, --poses and all that says how files are read")
+        raise ValueError("sim reads no file: leave out --topic, --poses and all other options for reading files")
     settings, failures = running.settings(ctx), Failures()
     stream: Iterator[tuple[Sweep, DriveTruth | None]]
     if is_simulated:

@@ -63,10 +63,8 @@ def replay(
     reading: Reading = DEFAULT_READING,
     index: Index = None,
     rate: Annotated[float, typer.Option(min=0.01, max=1000.0, help="Pace: 1 as measured, 2 twice as fast.")] = 1.0,
-    as_fast: Annotated[
-        bool, typer.Option("--as-fast", help="Do not wait between sweeps; --rate does not count.")
-    ] = False,
-    loop: Annotated[bool, typer.Option("--loop", help="Begin again at the end, until Ctrl-C.")] = False,
+    as_fast: Annotated[bool, typer.Option("--as-fast", help="Do not wait between sweeps; --rate is ignored.")] = False,
+    loop: Annotated[bool, typer.Option("--loop", help="Start over at the end, until Ctrl-C.")] = False,
     to: To = None,
     schemas: SchemaNames = "ros",
     running: PipelineOptions = DEFAULT_PIPELINE,
@@ -74,9 +72,9 @@ def replay(
 ) -> None:
     """Estimate the sweeps of a recording as they would come in live.
 
-    Each is a line: time, visible area and latency. A sweep that is not begun when the next one is due is dropped and
-    counted, unless --as-fast. With --to the sweeps and what came of them are written to a bag; with --as-fast the same
-    bytes each time.
+    Prints one line for each sweep: time, visible area and latency. A sweep that is still waiting when the next one is
+    due is dropped and counted, unless --as-fast. With --to, the sweeps and their results are written to a bag; with
+    --as-fast, the same bytes each time.
 
     Example: viewshed replay drive.mcap --rate 2
     """

@@ -60,13 +60,13 @@ MaxSweeps = Annotated[int | None, typer.Option("--sweeps", min=1, help="End afte
 def view(
     ctx: typer.Context,
     files: Files = None,
-    html: Annotated[Path | None, typer.Option(help="The page to write, one file that needs no network.")] = None,
+    html: Annotated[Path | None, typer.Option(help="HTML page to write, one file that needs no network.")] = None,
     rerun: Annotated[Path | None, typer.Option(help="The file to write for Rerun: NAME.rrd.")] = None,
     foxglove: Annotated[
         int | None, typer.Option(min=1, max=65535, help="Serve live to Foxglove at this port, until Ctrl-C.")
     ] = None,
     serve: Annotated[
-        bool, typer.Option("--serve", help="Serve a page to this machine alone, to drop files on, until Ctrl-C.")
+        bool, typer.Option("--serve", help="Serve a page on which to drop files, to this machine only, until Ctrl-C.")
     ] = False,
     profile: ProfileName = None,
     method: Method = None,
@@ -86,19 +86,19 @@ def view(
 ) -> None:
     """Show what sweeps could see: a page, a file for Rerun, or live.
 
-    The page is for any browser, has a map and a timeline and needs no network. Live, in Foxglove, the sweeps come at
-    the pace at which they were measured, again and again unless --sweeps ends it, and late ones are dropped.
+    The page is for any browser, has a map and a timeline and needs no network. Foxglove gets the sweeps live, at the
+    pace at which they were measured, over and over unless --sweeps is given, and late ones are dropped.
 
-    A file that cannot be read costs one line on standard error and does not stop the others; the exit code is then 2.
+    A file that cannot be read gives one line on standard error and does not stop the others; the exit code is then 2.
 
     Example: viewshed view drive.mcap --html run.html --step 5
     """
     if [html, rerun, foxglove].count(None) + (not serve) != 3:
-        raise ValueError("name one of: the page to write, --html run.html; --rerun run.rrd; --foxglove PORT; --serve")
+        raise ValueError("give exactly one of --html run.html, --rerun run.rrd, --foxglove PORT and --serve")
     of_files = (files, index, monitor, monitor_file, history, sweeps, step > 1, object_options != NO_OBJECTS)
     if serve and any(of_files):
         alone = "FILES, --index, --monitor, --history, --sweeps, --step, --objects, --fuse and --attack"
-        raise ValueError(f"--serve takes one file after the other on its page: leave out {alone}, or name --html")
+        raise ValueError(f"--serve takes files on its page, one after the other: leave out {alone}, or use --html")
     settings = PipelineOptions(profile, method, grid, history=history, monitor=monitor).settings(ctx)
     network, cells = NetworkOptions(weights, passes, seed), options.parse_grid(settings.grid)
     if serve:
@@ -233,7 +233,7 @@ def _monitored(file: Path | None, weights: str | None, method: str | None) -> tu
 
     if file is not None and kind_of_monitor(file) == DEVIATION:
         if method not in {None, "mc_dropout"}:
-            raise ValueError(f"--monitor-file was fitted on mc_dropout, got --method {method}; leave it out")
+            raise ValueError(f"--monitor-file was fitted on mc_dropout, got --method {method}; leave out --method")
         fitted = load_monitor(file)
 
         def check_estimate(_: LeveledSweep, estimate: FovEstimate) -> tuple[IntegrityReport, str]:

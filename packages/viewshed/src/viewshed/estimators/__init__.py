@@ -72,8 +72,8 @@ def current_name(method: str) -> str:
     """
     if method == "viewnet":
         warnings.warn(
-            f"method viewnet is gone, and {DEFAULT_ESTIMATOR} is taken, whose probability is calibrated; version 0.5"
-            " will refuse the name",
+            f"method viewnet was removed, and {DEFAULT_ESTIMATOR}, whose probability is calibrated, is used; version"
+            " 0.5 will refuse the name",
             FutureWarning,
             stacklevel=3,
         )
@@ -161,7 +161,7 @@ def load_estimator(
     options = {"weights": weights, "passes": passes, "seed": seed, "device": None if device == "cpu" else device}
     given = {option: value for option, value in options.items() if value is not None}
     if method == "unet" and seed is not None:
-        raise ValueError(f"seed must be left out for unet, which draws no masks, got {seed}; use mc_dropout")
+        raise ValueError(f"seed must be left out for unet, which samples no masks, got {seed}; use mc_dropout")
     if method in LEARNED:
         estimator: Estimator = load_network(
             method, bev_grid, target_box, weights=weights, passes=passes, seed=seed or 0, device=device
@@ -229,14 +229,14 @@ def estimate(
     if sweeps:
         if len(sweeps) < len(items) or history is not None or has_metadata:
             raise ValueError(
-                "of several LiDARs each must be a Sweep that says its own height and mounting, without history; leave"
-                " out all but method, grid, target and device"
+                "several LiDARs must be Sweeps that state their own height and mounting, without history; leave out"
+                " all but method, grid, target and device"
             )
         return union_of_views([estimator.estimate(item) for item in sweeps])
     if isinstance(sweep, Sweep | LeveledSweep):
         if has_metadata:
             raise ValueError(
-                "sensor, sensor_height_m and world_from_sensor go with points, got a Sweep; say them there:"
+                "sensor, sensor_height_m and world_from_sensor are for points, got a Sweep; set them there:"
                 " sweep.replace(model=viewshed.lidar_model(NAME), …)"
             )
         return estimator.estimate(sweep, history)

@@ -79,7 +79,7 @@ class ClassicalEstimator:
         """Return a copy that abstains; see :meth:`Estimator.with_abstention`."""
         if self.abstain_below is None:
             raise ValueError(
-                f"abstention must be asked of an estimator that says how sure it is, got {below:g} for {self.name},"
+                f"abstention must be used with an estimator of probabilities, got {below:g} for {self.name},"
                 " whose masks are 0 or 1; use shadow_map, unet or mc_dropout"
             )
         changed: Self = replace(cast("Any", self), abstain_below=checked_abstention(below))
@@ -112,7 +112,7 @@ def checked_history(estimator: Estimator, leveled: LeveledSweep, history: Earlie
     if history is None or (not isinstance(history, History) and not len(history)):
         return None
     if not estimator.uses_history:
-        raise ValueError(f"history must be left out for {estimator.name}, which looks at one sweep; use shadow_map")
+        raise ValueError(f"history must be left out for {estimator.name}, which uses one sweep only; use shadow_map")
     if isinstance(history, History):
         if history.now.sweep is not leveled.sweep:
             raise ValueError("history must be that of the sweep to estimate, got another one's; use History.of")

@@ -68,7 +68,9 @@ class QuantizedRayTrace(ClassicalEstimator):
             if not np.isfinite(self.max_range_m):
                 raise ValueError("range_bins need a finite max_range_m; give the range that they divide")
         if self.about_centroid and self.azimuth_bins is None:
-            raise ValueError("azimuth_bins must be given with about_centroid; the sensor's step says nothing there")
+            raise ValueError(
+                "azimuth_bins must be given with about_centroid; the sensor's azimuth step does not apply there"
+            )
 
     def visible_prob(self, leveled: LeveledSweep, history: History | None) -> NDArray[np.float32]:
         """Return 1 up to the farthest return of each azimuth bin, 0 beyond."""

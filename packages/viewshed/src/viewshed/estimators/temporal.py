@@ -101,7 +101,7 @@ class TemporalEstimator:
 
     def __post_init__(self) -> None:
         if not self.inner.uses_history:
-            raise ValueError(f"history helps shadow_map, got {self.inner.name}, which looks at one sweep")
+            raise ValueError(f"history is for shadow_map, got {self.inner.name}, which uses one sweep only")
 
     @property
     def name(self) -> str:
@@ -157,7 +157,7 @@ class TemporalEstimator:
 
     def batch_steps(self) -> BatchSteps:
         """Raise ValueError: sweeps of a stream must be estimated in sequence."""
-        raise ValueError("an estimator that remembers takes sweeps one after the other; call its estimate")
+        raise ValueError("an estimator with its own history takes sweeps one after the other; call its estimate")
 
 
 def stream(
@@ -175,7 +175,7 @@ def stream(
         ValueError: the estimator uses no history, or confirmation is required with ``history`` 0.
     """
     if history == 0 and require_confirmation:
-        raise ValueError("require_confirmation goes with a history of 1 or more: it claims what earlier sweeps saw")
+        raise ValueError("require_confirmation needs a history of 1 or more: it claims what earlier sweeps saw")
     if history:
         estimator = TemporalEstimator(estimator, SweepBuffer(history), require_confirmation)
     return map(estimator.estimate, _leveled(sweeps, estimator.grid))

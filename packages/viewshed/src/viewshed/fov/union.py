@@ -39,7 +39,7 @@ def union_of_views(views: Sequence[FovEstimate]) -> FovEstimate:
     for number, view in enumerate(views):
         if view.world_from_level is None:
             raise ValueError(
-                f"each sweep of one vehicle must have its mounting, number {number} has none; say it as"
+                f"each sweep of one vehicle must have its mounting, number {number} has none; give it as"
                 " world_from_sensor, in one frame for all"
             )
         if (view.target, view.threshold) != (first.target, first.threshold):
@@ -55,8 +55,8 @@ def union_of_views(views: Sequence[FovEstimate]) -> FovEstimate:
         tilt_deg = np.degrees(np.arccos(np.clip(pose.rotation[:, 2] @ poses[0].rotation[:, 2], -1.0, 1.0)))
         if tilt_deg > TILT_DEG:
             raise ValueError(
-                f"mountings must fit the ground that the sweeps show: by those of sweep 0 and {number} it differs by"
-                f" {tilt_deg:.0f}°; state roll and pitch as well"
+                f"mountings must agree with the ground that the sweeps show: between sweeps 0 and {number} it differs"
+                f" by {tilt_deg:.0f}°; give roll and pitch as well"
             )
     prob, rank = np.zeros(first.grid.shape), np.zeros(first.grid.shape, np.uint8)
     rank_of = np.argsort(_STATES_BY_RANK).astype(np.uint8)

@@ -49,15 +49,17 @@ class Certificate:
         """One line that states what is certified."""
         against = f"against {self.threat.words}"
         if self.certified_visible.any():
-            over = f"; of the claim at most {self.over_claim_m2:.0f} m² can be owed to it" if self.over_claim_m2 else ""
+            over = (
+                f"; at most {self.over_claim_m2:.0f} m² of the claim can be caused by it" if self.over_claim_m2 else ""
+            )
             return f"{self.certified_m2:.0f} m² certified {against}{over}"
         if self.inferred:
             named = ", ".join(self.inferred)
             return (
-                f"nothing certified: {named} inferred from the sweep itself, which an attacker may own; give what you"
-                " know of these with the sweep"
+                f"nothing certified: {named} inferred from the sweep itself, which an attacker may control; give"
+                " the known values with the sweep"
             )
-        return f"nothing certified {against}: no cell of the claim has so many beams to spare"
+        return f"nothing certified {against}: no claimed cell has enough beams to spare"
 
     def withdraw(self, estimate: FovEstimate) -> FovEstimate:
         """Return the estimate with all other claimed cells set to UNKNOWN."""
@@ -113,8 +115,8 @@ def _assumptions(given: Given, threat: Threat) -> tuple[str, ...]:
     return (
         f"the beams go where the table of {given.model.name} says, {given.model.azimuth_columns} columns a turn",
         f"the sensor is {tilt} and {given.height_m:.2f} m above the ground",
-        f"the ground lies within a slope of {given.grade:g} of {ground}",
-        "what a beam meets before the target sends light back (no glass, no absorber)",
+        f"the ground deviates by a slope of at most {given.grade:g} from {ground}",
+        "objects that a beam meets before the target reflect it (no glass, no absorber)",
         f"the attacker has no more than {threat.words}",
-        *(f"the {what}, inferred from this sweep, is right" for what in given.inferred),
+        *(f"the {what}, inferred from this sweep, is correct" for what in given.inferred),
     )

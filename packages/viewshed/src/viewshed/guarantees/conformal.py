@@ -177,7 +177,7 @@ class Calibration:
         step = self.step(alpha, delta, confidence)
         if step < 0:
             raise ValueError(
-                f"nothing is guaranteed at alpha {alpha:g}, delta {delta:g} by {self.shares.shape[1]} scenes;"
+                f"nothing is guaranteed at alpha {alpha:g}, delta {delta:g} with {self.shares.shape[1]} scenes;"
                 " choose a larger one, or calibrate on more scenes"
             )
         claim: Mask = estimate.visible() & (
@@ -188,7 +188,7 @@ class Calibration:
             claim &= ground_std(ground, estimate.grid) <= std_m
         if not claim.any():
             warnings.warn(
-                f"nothing of this sweep is guaranteed at alpha {alpha:g}, delta {delta:g}: no claim is sure enough",
+                f"nothing of this sweep is guaranteed at alpha {alpha:g}, delta {delta:g}: no claim is certain enough",
                 stacklevel=2,
             )
         return claim
@@ -253,7 +253,7 @@ def calibration_for(sensor: str, target: str, method: str) -> Calibration:
             return calibration
     known = "; ".join(f"{one.sensor}, {one.target}, {one.method}" for one in shipped())
     raise ValueError(
-        f"no calibration for {sensor}, {target}, {method}, only for: {known}; fit one on {MIN_SCENES} labelled sweeps"
+        f"no calibration for {sensor}, {target}, {method}, only for: {known}; fit one on {MIN_SCENES} labeled sweeps"
         " (Calibration.retested)"
     )
 

@@ -93,7 +93,7 @@ class Threat:
             raise ValueError(f"threat must be one of {', '.join(_WORDS)}, got {self.kind!r}")
         is_count = float(self.amount).is_integer() and 1 <= self.amount <= MAX_BEAMS
         if self.kind == "added" and self.amount != 0:
-            raise ValueError(f"added counts no beams, got {self.amount:g}; leave the number out")
+            raise ValueError(f"added takes no number of beams, got {self.amount:g}; leave the number out")
         if self.kind == "wedge" and not 0.0 < self.amount <= 179.0:
             raise ValueError(f"a wedge must be wider than 0° and at most 179° wide, got {self.amount:g}")
         if self.kind in ("replaced", "window", "dropped") and not is_count:

@@ -180,7 +180,7 @@ def columns_of_table(table: Mapping[str, NDArray[Any]], frame: Rigid | None, *, 
     t_ns = None if time is None or time_s is None else instant_ns(time)
     rules = (
         (ring, laser, "ring is left out: it must be whole numbers in [0, 4096)"),
-        (azimuth, angle, "azimuth is left out: no unit, sign and zero make it agree with the points"),
+        (azimuth, angle, "azimuth is left out: no choice of unit, sign and zero makes it agree with the points"),
         (time, time_s, "time is left out: it must be finite and within one revolution (2 s)"),
     )
     left_out = tuple(problem for column, usable, problem in rules if column is not None and usable is None)

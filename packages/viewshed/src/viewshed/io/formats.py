@@ -155,7 +155,7 @@ def writer_named(name: str, path: str) -> Writer:
         plain = path.lower().removesuffix(".gz")
         name = next((known for known in writers if plain.endswith(all_formats()[known].suffixes)), "")
         if not name:
-            raise ValueError(f"{path}: format cannot be known by the name; name one of {', '.join(writers)}")
+            raise ValueError(f"{path}: format is not known from the name; name one of {', '.join(writers)}")
     if name not in writers:
         raise ValueError(f"{path}: format must be one of {', '.join(writers)} to write, got {name!r}")
     return writers[name]

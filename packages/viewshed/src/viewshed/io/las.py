@@ -51,7 +51,7 @@ def _check_header(content: bytes) -> None:
     extended = struct.unpack_from("<QI", content, 235) if minor >= 4 and len(content) >= _HEADER_BYTES_14 else (0, 0)
     fits = _HEADER_BYTES <= header <= start <= len(content) and records * _RECORD_BYTES <= start - header
     if (major, minor > 4) != (1, False) or not fits or extended[1] * _RECORD_BYTES > max(len(content) - extended[0], 0):
-        raise ValueError("LAS header is damaged: its version, lengths or counts cannot be")
+        raise ValueError("LAS header is damaged: its version, lengths or counts are impossible")
 
 
 _HEADER_BYTES, _HEADER_BYTES_14, _RECORD_BYTES = 227, 375, 54

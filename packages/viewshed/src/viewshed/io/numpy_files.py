@@ -115,7 +115,7 @@ def _members(source: InputFile) -> dict[str, NDArray[Any]]:
             names = [info.filename.removesuffix(".npy") for info in archive.infolist()]
             for name, info in zip(names, archive.infolist(), strict=True):
                 if info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-                    raise ValueError("NPZ must be stored or deflated, not packed in another way")
+                    raise ValueError("NPZ must be stored or deflated, not compressed in another way")
                 if name in _KEYS or len(names) == 1:
                     with archive.open(info) as stream:
                         content = read_bounded(stream, limit)  # type: ignore[arg-type]

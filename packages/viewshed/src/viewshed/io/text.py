@@ -67,7 +67,9 @@ def _header(content: bytes) -> tuple[int, list[str]]:
         is_comment = line.startswith(("#", "//"))
         names = lower if lower and ({"x", "y", "z"} <= set(lower) or not is_comment) else names
         start = end + 1
-    raise ValueError("text must have a point of three numbers or more a line, with names x, y, z above them or without")
+    raise ValueError(
+        "text must have one point of three or more numbers per line, with or without a first line of names x, y, z"
+    )
 
 
 def _is_number(word: str) -> bool:

@@ -120,7 +120,9 @@ class Calibration:
         hours = sum(map(len, pasts)) / (3600.0 * hz)
         if hours * 60.0 < MIN_MINUTES - 1e-6:
             short = sum(map(len, streams)) - sum(map(len, pasts))
-            why = f" besides {short} sweeps in streams of {EARLIER_SWEEPS} or fewer, without a past" if short else ""
+            why = (
+                f" besides {short} sweeps in streams of {EARLIER_SWEEPS} or fewer, which are too short" if short else ""
+            )
             raise ValueError(
                 f"benign drives must last {MIN_MINUTES:g} minute at least, got {hours * 60.0:.2g}{why}; give more"
             )
@@ -181,7 +183,7 @@ class Calibration:
         if per_hour < self.least_per_hour * (1.0 - 1e-9) and not extrapolate:
             raise ValueError(
                 f"{per_hour:g} false alarms an hour need {60.0 / per_hour:.0f} minutes of benign driving, got"
-                f" {self.hours * 60.0:.1f}; give more drives, or ask for {math.ceil(self.least_per_hour * 10) / 10:g}"
+                f" {self.hours * 60.0:.1f}; give more drives, or choose {math.ceil(self.least_per_hour * 10) / 10:g}"
             )
         # Bisection: the rate falls as the limit rises.
         low, high = self._tail()[0], 1e4

@@ -23,7 +23,7 @@ from viewshed.preprocess.streams import AGENTS, FORGET_S, remember, why_anew
 PER_HOUR = 6.0
 """Default number of false alarms an hour."""
 
-SINGLE_SWEEP_NOTE = "one sweep cannot tell a forgery that keeps to the beams"
+SINGLE_SWEEP_NOTE = "one sweep alone cannot reveal a forgery that keeps to the beams"
 
 SILENT_SWEEPS = 20
 """Number of sweeps after which evidence that has always abstained is noted; the slowest kind needs a second."""
@@ -205,8 +205,8 @@ class StreamMonitor:
             words = " or ".join(name for name, is_given in inputs if not is_given)
             if words:
                 count = int(agent.silent.sum())
-                look = "looks" if count == 1 else "look"
-                notes.append(f"without {words}, {count} of {len(EVIDENCE)} kinds of evidence {look} at nothing")
+                verb = "has" if count == 1 else "have"
+                notes.append(f"without {words}, {count} of {len(EVIDENCE)} kinds of evidence {verb} no data")
         return tuple(notes)
 
     def _report(

@@ -190,8 +190,8 @@ def _card_of(content: dict[str, Any]) -> NetworkCard:
         published = {name: shape.pop(name, value) for name, value in _PUBLISHED.items()}
         if inputs != ["counts"] or published != _PUBLISHED:
             raise ValueError(
-                "network must be shown the counts alone, without a fold, as this version runs it, got one shown"
-                f" {inputs} with fold {published['fold']}; use shadow_map"
+                "network must take only counts as input, without a fold, for this version to run it, got inputs"
+                f" {inputs} and fold {published['fold']}; use shadow_map"
             )
         low, high = (0.0 + height for height in content.pop("heights_m"))
         grid, trained, name = (content.pop(key) for key in ("grid", "trained", "name"))

@@ -150,8 +150,8 @@ class OnnxRunner:
         self.card = inspect_network(content, name)
         if self.card.precision == INT8 and engine != INT8_ENGINE:
             raise ValueError(
-                f"engine must be {INT8_ENGINE} for {name}, a network in bytes, got {engine}, which is for networks in"
-                " float32; give the network in float32"
+                f"engine must be {INT8_ENGINE} for {name}, a network with 8-bit weights, got {engine}, which is for"
+                " networks in float32; give the network in float32"
             )
         deterministic = without_masks(content)
         if engine == "cuda":

@@ -132,7 +132,7 @@ def default_name(method: str, grid: BevGrid, target: str, folder: Path = WEIGHTS
     fitting = ", ".join(f"{x.cells}x{x.half_extent_m:g} ({x.target})" for x in known.values() if method in x.methods)
     raise ValueError(
         f"method {method} needs weights, and this version ships none for a {target} on a grid of"
-        f" {grid.cells}x{grid.half_extent_m:g}, but for: {fitting or 'nothing'}; give --weights FILE of a network that"
+        f" {grid.cells}x{grid.half_extent_m:g}, only for: {fitting or 'nothing'}; give --weights FILE of a network that"
         " viewshed train exported"
     )
 

@@ -399,7 +399,7 @@ class Tracker:
         tracks = _kept(tracks, rules.keep(tracks, t_s))
         capacity = max(MAX_TRACKS - len(tracks), 0)
         if len(born) > capacity:
-            notes.append(f"{len(born) - capacity} new tracks refused: {MAX_TRACKS} are held")
+            notes.append(f"{len(born) - capacity} new tracks refused: at most {MAX_TRACKS} are kept")
             born = born.take(np.sort(np.argsort(-born.existence, kind="stable")[:capacity]))
         born.ids = np.arange(self._next_id, self._next_id + len(born))
         self._next_id += len(born)
@@ -445,8 +445,8 @@ class Tracker:
             )
         if given_odds is None and count and not self._has_noted_odds:
             self._has_noted_odds = True
-            guess = f"{self.rules.false_odds:g} for one of an object"
-            notes.append(f"false detections are not known for this view: {guess} taken; give false_odds")
+            guess = f"{self.rules.false_odds:g} per true one"
+            notes.append(f"the rate of false detections is not known for this view: {guess} assumed; give false_odds")
         return Measured(detections.boxes, detections.kinds, spread, odds)
 
     def _time_note(self, t_s: float, view: View, notes: list[str]) -> Tracks | None:
@@ -456,13 +456,16 @@ class Tracker:
             return None
         back_s = last.t_s - t_s
         if 0.0 <= back_s <= _LATE_S:
-            notes.append(f"a sweep {'again' if back_s == 0.0 else f'{back_s:.3f} s late'}: its detections left out")
+            notes.append(
+                f"a sweep {'with a repeated time' if back_s == 0.0 else f'{back_s:.3f} s late'}: its detections are"
+                " left out"
+            )
             return replace(last, detection=np.full(len(last), -1, np.int32), notes=tuple(notes))
         if back_s > 0.0:
             notes.append(f"time went back by {back_s:.3f} s: all tracks dropped")
             self.reset()
         elif last.in_world != view.in_world:
-            frame = "the world" if view.in_world else "the sensor's level frame, for want of poses"
+            frame = "the world" if view.in_world else "the sensor's level frame (no poses)"
             notes.append(f"tracks are in {frame} from now on: all tracks dropped")
             self.reset()
         return None

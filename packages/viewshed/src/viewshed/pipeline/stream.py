@@ -173,7 +173,7 @@ class Pipeline:
         if not stale_after_s > 0.0:
             raise ValueError(f"stale_after_s must be positive, got {stale_after_s}; give inf for never")
         if certified_only and certify is None:
-            raise ValueError("certified_only needs a threat, got none to certify against; name one, window:5 say")
+            raise ValueError("certified_only needs a threat, got none to certify against; give one, such as window:5")
         self._estimator, self._publish, self._history, self._monitor = estimator, publish, history, monitor
         self._rules, self._vehicle, self._objects = rules, vehicle, objects
         self._threat, self._certified_only = certify, certified_only
@@ -406,7 +406,7 @@ class Pipeline:
         leveled = step.leveled if seen is None else seen.now
         estimate = self._estimator.estimate(leveled, seen)
         if not isinstance(estimate, FovEstimate):
-            raise TypeError(f"an estimator must return a FovEstimate, got {type(estimate).__name__}; mend it")
+            raise TypeError(f"an estimator must return a FovEstimate, got {type(estimate).__name__}; fix it")
         if history is not None:
             history.add(leveled)
             for agent in self._known():

@@ -90,8 +90,8 @@ def _problem_of_units(sweep: Sweep) -> str:
         if np.median(np.linalg.norm(sample - center_m, axis=1)) < _MAX_MEDIAN_M:
             center = ", ".join(f"{value:.0f}" for value in center_m)
             return (
-                f"the points lie around ({center}) m: are they in a map's coordinates? Subtract the sensor's position"
-                " before they are written, or say with --origin X,Y,Z where it is"
+                f"the points lie around ({center}) m: are they in a map's coordinates? Subtract the sensor's"
+                " position before you save them, or give it with --origin X,Y,Z"
             )
         return (
             f"half of the points are farther than {median_m:.0f} m: is the file in millimeters or centimeters? Convert"
@@ -110,8 +110,8 @@ def _doubt_of_plane(leveled: LeveledSweep) -> str:
     if tilt_deg <= _MAX_TILT_DEG:
         return ""
     return (
-        f"the plane of this 2-D laser is tilted by {tilt_deg:.0f}°, so its view is that of a slanted plane; if it tilts"
-        " to and fro, put the scans of one sweep together in a cloud first"
+        f"the plane of this 2-D laser is tilted by {tilt_deg:.0f}°, so its view is that of a slanted plane; if it"
+        " nods, combine the scans of one sweep into a cloud first"
     )
 
 
@@ -196,9 +196,9 @@ def _doubt_of_beams(leveled: LeveledSweep) -> tuple[str, ...]:
     if sweep.model is not None or leveled.sensor_id.ring is not None or len(sweep) < _MANY_POINTS:
         return ()
     return (
-        f"no beams can be told apart among {len(sweep)} points, so those without a return are not known and far ground"
-        " may be missed: name --sensor if it is known; of several sensors in one cloud give each by itself, with"
-        " --together",
+        f"the beams of the {len(sweep)} points cannot be identified, so beams without a return are not known and far"
+        " ground may be missed: give --sensor if it is known; if the cloud merges several sensors, give one file for"
+        " each, with --together",
     )
 
 
@@ -211,8 +211,8 @@ def _doubt_of_origin(leveled: LeveledSweep) -> str:
     sweep = leveled.sweep
     if sweep.sensor_height_m is None and leveled.ground.support == 0 and _lies_on_the_ground(sweep):
         return (
-            "no point lies below the origin: are the points counted from the road? Say with --origin X,Y,Z where the"
-            " sensor is"
+            "no point lies below the origin: are the points relative to the road? Give the sensor's position with"
+            " --origin X,Y,Z"
         )
     if sweep.sensor_height_m is not None or leveled.sensor_height_m > _LOW_M or leveled.sensor_id.model is not None:
         return ""
@@ -220,6 +220,7 @@ def _doubt_of_origin(leveled: LeveledSweep) -> str:
     if find_clusters(*polar(sweep.points)) is not None:
         return ""
     return (
-        f"the origin seems to lie {leveled.sensor_height_m:.2f} m above the ground, and the returns gather at no beams"
-        " around it: are the points counted from the axle or the road? Say with --origin X,Y,Z where the sensor is"
+        f"the origin seems to lie {leveled.sensor_height_m:.2f} m above the ground, and the returns do not lie on"
+        " beams around it: are the points relative to the axle or the road? Give the sensor's position with --origin"
+        " X,Y,Z"
     )

@@ -90,7 +90,7 @@ def open_recording(path: str | os.PathLike[str], *, topic: str | None = None) ->
         if not place.is_file():
             raise FileNotFoundError(f"{place}: no such file or folder")
         if topic is not None:
-            raise ValueError(f"{place}: topic goes with a bag, got {topic!r}; leave it out")
+            raise ValueError(f"{place}: topic is only for bags, got {topic!r}; leave it out")
         return Recording(place, lambda: read_sweeps(place))
     source = open_sweep_source(place, topic=topic)
     for line in source.damage():

@@ -147,7 +147,7 @@ def test_places_by_latitude_and_longitude_look_along_their_way(tmp_path: Path) -
     found = [(*pose.translation.round(3), round(pose.yaw, 3)) for pose in table.poses]
     half = round(np.pi / 2, 3)
     assert found == [(0, 0, 0, half), (0, 1, 0, half), (0, 1, 0, 0), (1, 1, 0, 0)]
-    assert table.notes == ("places have no rotation: the sensor is taken to look along its way, level",)
+    assert table.notes == ("positions have no rotation: the sensor is taken to be level and to face along its path",)
     # A folder with a file for each sweep says the same, in the order of time whatever the names are.
     folder = tmp_path / "drive"
     folder.mkdir()
@@ -187,7 +187,7 @@ def test_standard_deviations_of_places_become_the_covariance_of_the_pose(tmp_pat
         ("timestamp,latitude,longitude,height\n1,2", "line 2 must have a number for each of its columns"),
         (_places((1.0, 90.0, 0.0)), "latitude must lie in"),
         (_places((1.0, 9.0, 0.0), (1.0, 9.0, 0.1)), "times must differ, got 1.000000 s twice"),
-        ("timestamp,latitude,longitude,height", "must have places, got no line with numbers"),
+        ("timestamp,latitude,longitude,height", "must have positions, got no line with numbers"),
     ],
 )
 def test_wrong_tables_of_places_are_refused(tmp_path: Path, text: str, message: str) -> None:

@@ -248,7 +248,7 @@ def test_transforms_that_lead_in_a_circle_end_there(tmp_path: Path, ros: Ros, wr
     source = open_source(write(tmp_path / "a", entries))
     [(_, sweep)] = each_sweep(source)
     assert sweep.world_from_sensor is None
-    assert any("frame 'lidar' hangs from none of map" in line for line in source.notes())
+    assert any("frame 'lidar' is not connected to any of map" in line for line in source.notes())
     assert any("frame 'map' must have one parent" in line for line in source.damage())
 
 

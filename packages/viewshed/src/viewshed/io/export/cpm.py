@@ -37,7 +37,7 @@ from viewshed.io.messages.cpm import MAX_BYTES, Station, encode_cpm
 
 STATES = (
     "claimed: visible cells by the threshold (FREE, SURFACE), as far as the shapes reach; "
-    "HIDDEN and UNKNOWN are never claimed and not told apart"
+    "HIDDEN and UNKNOWN are never claimed and not distinguished"
 )
 
 UPER_SUFFIX = ".cpm.uper"

@@ -124,7 +124,10 @@ def _check(scan: LaserScan, ranges: NDArray[np.float32], intensity: NDArray[np.f
         if not np.isfinite(getattr(scan, name)):
             raise ValueError(f"{name} must be finite, got {getattr(scan, name):g}")
     if not 0 <= scan.range_min < scan.range_max:  # also true if range_max is NaN
-        raise ValueError(f"range_min and range_max must be limits, got {scan.range_min:g} and {scan.range_max:g} m")
+        raise ValueError(
+            f"range_min and range_max must satisfy 0 ≤ range_min < range_max, got {scan.range_min:g} and"
+            f" {scan.range_max:g} m"
+        )
     step, steps = abs(scan.angle_increment), max(ranges.size - 1, 0)
     if steps and not 0 < step * steps <= 2 * np.pi + step:
         raise ValueError(

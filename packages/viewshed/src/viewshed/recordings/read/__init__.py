@@ -51,7 +51,7 @@ def open_source(place: str | os.PathLike[str], kind: str = "auto", *, topic: str
     with errors_with_path(path, path.parent):
         if topic is not None:
             if not SOURCES["bag"].fits(path):
-                raise ValueError(f"{path}: topic goes with a bag, got {topic!r}; leave it out")
+                raise ValueError(f"{path}: topic is only for bags, got {topic!r}; leave it out")
             return rosbag.BagRecording.open(path, topic)
         for known in SOURCES.values() if kind == "auto" else (SOURCES[kind],):
             if kind != "auto" or known.fits(path):

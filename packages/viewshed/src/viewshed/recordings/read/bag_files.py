@@ -320,7 +320,7 @@ class Ros1Bag(_ChunkedBag):
                 content.seek(self._rosbags.read_uint32(content), io.SEEK_CUR)
                 header = self._rosbags.Header.read(content)
             if header.get_uint8("op") != self._rosbags.RecordType.MSGDATA:
-                raise ValueError("its index points at what is no message")
+                raise ValueError("its index points at something that is not a message")
             raw: bytes = self._rosbags.read_bytes(content, self._rosbags.read_uint32(content))
         return raw
 

@@ -355,7 +355,7 @@ def _open_scene(root: Path, folder: Path, damage: list[str]) -> _Scene:
     description = read_optional(folder / "recording.json", read_description, damage) or {}
     axes = description.get("axes", "carla")
     if axes not in AXES:
-        problem = f"axes must be one of {', '.join(AXES)}, got {one_line(axes, 40)}; took carla"
+        problem = f"axes must be one of {', '.join(AXES)}, got {one_line(axes, 40)}; carla is used"
         note_damage(damage, f"{folder / 'recording.json'}: {problem}")
         axes = "carla"
     sensors = description.get("agents")

@@ -134,7 +134,7 @@ class PoseFile:
                 positions.append(position)
                 deviations.append(deviation_m or [np.nan] * 3)
         if not positions:
-            raise ValueError("must have places, got no line with numbers")
+            raise ValueError("must have positions, got no line with numbers")
         order = np.argsort([row[0] for row in positions], kind="stable")
         rows, deviations_m = np.array(positions)[order], np.array(deviations)[order]
         times_ns = _nanoseconds(rows[:, 0])
@@ -145,7 +145,7 @@ class PoseFile:
         positions_m = np.array([world_from_imu(record, records[0]).translation for record in records])
         records[:, 5] = _headings(positions_m)
         poses = tuple(world_from_imu(record, records[0]) for record in records)
-        note = "places have no rotation: the sensor is taken to look along its way, level"
+        note = "positions have no rotation: the sensor is taken to be level and to face along its path"
         known_m = deviations_m if np.isfinite(deviations_m).any() else None
         return cls(path, poses, times_ns, by_time=True, notes=(note,), deviations_m=known_m)
 

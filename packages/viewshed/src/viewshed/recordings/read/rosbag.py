@@ -397,7 +397,7 @@ def _note_tilting(contents: _Contents, clouds: list[_Cloud]) -> None:
         tilt_deg = math.degrees(contents.transforms.tilt_rad(frame, times_ns))
         if tilt_deg > _MAX_TILT_DEG:
             line = f"the 2-D laser of {topic} tilts by {tilt_deg:.0f}°, so each scan sees its own slanted plane"
-            note_damage(contents.notes, f"{line}; put the scans of a turn together in a cloud first")
+            note_damage(contents.notes, f"{line}; combine the scans of one sweep into a cloud first")
 
 
 def _height_m(contents: _Contents, cloud: _Cloud) -> float | None:

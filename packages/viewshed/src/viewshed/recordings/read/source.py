@@ -222,7 +222,7 @@ def note_damage(damage: list[str], problem: str) -> None:
     if len(damage) < _MAX_DAMAGE_LINES:
         damage.append(one_line(problem))
     elif len(damage) == _MAX_DAMAGE_LINES:
-        damage.append(f"there is more damage; only the first {_MAX_DAMAGE_LINES} lines are named")
+        damage.append(f"there is more damage; only the first {_MAX_DAMAGE_LINES} lines are printed")
 
 
 @contextmanager

@@ -159,7 +159,9 @@ class TransformBuffer:
         first = next((world for world in worlds if world in chain), None)
         if first is None:
             frames = ", ".join(self.frames()) or "none"
-            raise ValueError(f"frame {frame!r} hangs from none of {', '.join(worlds)}; frames that exist: {frames}")
+            raise ValueError(
+                f"frame {frame!r} is not connected to any of {', '.join(worlds)}; frames that exist: {frames}"
+            )
         return first
 
     def tilt_rad(self, frame: str, times_ns: Iterable[int]) -> float:

@@ -110,11 +110,11 @@ class _Handler(BaseHTTPRequestHandler):
         if not self._is_ours():
             return
         if self.headers.get("Origin") != f"http://{self.headers['Host']}":
-            self._say(HTTPStatus.FORBIDDEN, "files are taken from this page alone")
+            self._say(HTTPStatus.FORBIDDEN, "files are accepted only from this page")
             return
         size = self.headers.get("Content-Length", "")
         if not re.fullmatch(r"\d{1,12}", size) or self.path != "/file":
-            self._say(HTTPStatus.BAD_REQUEST, "a file must come to /file with its length")
+            self._say(HTTPStatus.BAD_REQUEST, "a file must be sent to /file with its length")
             return
         if int(size) > MAX_FILE_BYTES:
             self._say(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"a file must be at most {MAX_FILE_BYTES} bytes, got {size}")
