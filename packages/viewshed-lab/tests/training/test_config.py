@@ -51,7 +51,7 @@ def test_wrong_files_are_refused(config: TrainConfig, tmp_path: Path) -> None:
         (text + "momentum = 0.9\n", r"missing or unknown: momentum"),
         (
             text + "fresh = true\n",
-            r"wrong.toml: fresh must be False, or left out, as a network is trained now, got True",
+            r"wrong.toml: fresh must be False or omitted, as other values are no longer supported, got True",
         ),
         (
             text + 'inputs = ["counts", "range"]\n',
