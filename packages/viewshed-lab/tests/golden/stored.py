@@ -52,7 +52,7 @@ def save(method: str, estimates: Mapping[str, Arrays]) -> None:
 
 
 def load(method: str) -> dict[str, Arrays]:
-    """Return the golden estimates of a method by sweep name; prob and std of networks at every second row and column."""
+    """Return the golden estimates of a method by sweep name; prob and std of networks at every second row, column."""
     step = _step(method)
     content = lzma.decompress((FOLDER / f"{method}.npz.xz").read_bytes())
     with np.load(io.BytesIO(content), allow_pickle=False) as table:
