@@ -166,7 +166,7 @@ def spoofing(
     ] = None,
     out: Annotated[Path, typer.Option(help="Page to write.")] = Path("spoofing.md"),
 ) -> None:
-    """Which sweeps the monitor flags in public traces of spoofed drives.
+    """What the monitor flags in public traces of spoofed drives.
 
     For the two public traces, which sweeps are spoofed is inferred from the data; for another trace, give --key.
 
