@@ -38,7 +38,9 @@ def main(words: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(prog="ship_study.py", description=__doc__)
     parser.add_argument("study", type=Path, help="folder of a finished study paper")
     parser.add_argument("--preset", default="medium", help="its plan")
-    parser.add_argument("--frames", type=int, default=FRAMES, help="sweeps that calibrate; as many others check")
+    parser.add_argument(
+        "--frames", type=int, default=FRAMES, help="number of sweeps to calibrate on; as many others are for the check"
+    )
     parser.add_argument("--folder", type=Path, default=WEIGHTS)
     parser.add_argument("--page", type=Path, default=OUT)
     arguments = parser.parse_args(words)

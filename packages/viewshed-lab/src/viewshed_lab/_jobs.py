@@ -209,7 +209,9 @@ def _drive(
             elif tries < TRIES:
                 lost.append((index, tries))
             else:
-                yield Done(index, None, f"the worker died {TRIES} times over this job, at last with {_end(problem)}")
+                yield Done(
+                    index, None, f"the worker died {TRIES} times on this job, the last time with {_end(problem)}"
+                )
 
 
 def _end(problem: BaseException) -> str:
@@ -233,7 +235,7 @@ def _do_pickled(work: bytes, message: bytes) -> bytes:
         index, job = pickle.loads(message)  # noqa: S301 - from our own process
         return pickle.dumps(attempt(pickle.loads(work), index, job))  # noqa: S301 - from our own process
     except Exception as error:
-        return pickle.dumps(Done(index, None, f"job {index} cannot travel between processes: {reason(error)}"))
+        return pickle.dumps(Done(index, None, f"job {index} cannot be passed between processes: {reason(error)}"))
 
 
 def _do_locally(work: bytes, message: bytes) -> bytes:

@@ -40,7 +40,7 @@ def test_one_file_becomes_one_file_with_its_record(tmp_path: Path) -> None:
     write_sweep(clean, tmp_path / "a.npz")
     words = ["attack", str(tmp_path / "a.npz"), "--attack", "uniform", "--budget", "30"]
     code, said, _ = run(*words, "--out", str(tmp_path / "b.npz"))
-    assert (code, said) == (0, f"{tmp_path}/b.npz: 430 returns; what was touched is in b.npz.touched.json\n")
+    assert (code, said) == (0, f"{tmp_path}/b.npz: 430 returns; b.npz.touched.json records which changed\n")
     record = json.loads((tmp_path / "b.npz.touched.json").read_text())
     attacked = read_sweep(tmp_path / "b.npz")
     kept = np.setdiff1d(np.arange(len(attacked)), record["added_rows"])

@@ -19,7 +19,7 @@ REFUSED = {
     "attack SET --attack relay --seed -1": "seed must not be negative, got -1",
     "attack nothing.bin --attack relay": "no such file; name one data set, one recording, or files",
     "attack . --attack relay": "no recording found here",
-    "label": "viewshed: name a recording SRC or an --index, one of them$",
+    "label": "viewshed: name either a recording SRC or an --index$",
     "label nowhere": "nowhere: no such file or folder$",
     "label SET --definition best": "definition must be one of probe, farthest, first_blocker, got 'best'",
     "label SET --grid big": "grid must be one of road", "label SET --kind lost": "kind must be auto or one of",

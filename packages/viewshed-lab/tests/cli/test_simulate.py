@@ -21,7 +21,7 @@ def test_it_says_what_was_made(made: Path, tmp_path: Path) -> None:
 
 def test_verify_finds_a_flipped_byte(made: Path, tmp_path: Path) -> None:
     folder = Path(shutil.copytree(made, tmp_path / "b"))
-    assert run("dataset", "verify", str(folder))[:2] == (0, "2 shards, all as they were written\n")
+    assert run("dataset", "verify", str(folder))[:2] == (0, "2 shards, all checksums match\n")
     victim = folder / "train-0000-000.parquet"
     raw = bytearray(victim.read_bytes())
     raw[len(raw) // 2] ^= 4

@@ -1,4 +1,4 @@
-"""Made-up samples, no part of the simulator decides what is in them; and object stores on this machine."""
+"""Random samples, made without the simulator; and object stores on this machine."""
 
 import contextlib
 import socket
@@ -65,7 +65,7 @@ def make_truth() -> Callable[..., tuple[Truth, np.ndarray]]:
 
 @pytest.fixture
 def make_sample(make_truth: Callable[..., tuple[Truth, np.ndarray]], custom_model: LidarModel) -> MakeSample:
-    """Makes a sample with a range image (``image=True``) or with points only."""
+    """Return a function that makes a sample with a range image (``image=True``) or with points only."""
 
     def make(seed: int = 0, *, image: bool = True, scene: str = "s0", split: str = "train", cells: int = 33) -> Sample:
         rng = np.random.default_rng(seed)
@@ -78,10 +78,10 @@ def make_sample(make_truth: Callable[..., tuple[Truth, np.ndarray]], custom_mode
         steps = (rng.integers(0, 65536, shape) * (rng.random(shape) < 0.8)).astype(np.uint16)
         level = np.where(steps > 0, rng.integers(0, 256, shape), 0).astype(np.uint8)
         motion = Motion((8.1, -0.3, 0.07), 0.21, 0.1) if seed % 3 else Motion()
-        made = StoredSweep(
+        stored = StoredSweep(
             model, steps, level, 0.002, pose, motion, 1.73, 123_456_789_012_345_678 + seed, f"agent {seed}"
         )
-        return Sample(made, truth, known, scene, split)
+        return Sample(stored, truth, known, scene, split)
 
     return make
 
@@ -109,7 +109,7 @@ def _points(rng: np.random.Generator, pose: Rigid) -> Sweep:
 
 @pytest.fixture(scope="session")
 def s3() -> Iterator[str]:
-    """Options of a URI that lead to a server; it has a bucket named ``data``, ``s3://data/FOLDER?OPTIONS``."""
+    """Start an S3 server with a bucket ``data``; yield the URI options of ``s3://data/FOLDER?OPTIONS``."""
     pytest.importorskip("moto", reason="moto is not installed: S3 is not tested")
     keys = {"AWS_ACCESS_KEY_ID": "key", "AWS_SECRET_ACCESS_KEY": "secret", "AWS_EC2_METADATA_DISABLED": "true"}
     port = _free_port()
@@ -117,8 +117,8 @@ def s3() -> Iterator[str]:
         for name, value in keys.items():
             environment.setenv(name, value)
         options = f"endpoint_override=127.0.0.1:{port}&scheme=http&region=us-east-1"
-        made, _ = fs.FileSystem.from_uri(f"s3://data?{options}&allow_bucket_creation=true")
-        made.create_dir("data")
+        bucket_store, _ = fs.FileSystem.from_uri(f"s3://data?{options}&allow_bucket_creation=true")
+        bucket_store.create_dir("data")
         yield options
 
 

@@ -85,5 +85,5 @@ def test_the_command_writes_the_card_and_compares(
     with pytest.raises(SystemExit) as same:
         main(["simulate", "release", "--workers", "1", "--out", str(place)])
     assert same.value.code in (0, None)
-    assert "all 3 shards are byte for byte those published" in capsys.readouterr().out
+    assert "all 3 shards are identical to the published ones" in capsys.readouterr().out
     assert json.loads((place / "manifest.json").read_text("utf-8"))["complete"]

@@ -81,7 +81,7 @@ def test_a_run_that_is_killed_goes_on_with_other_workers(whole: Path, tmp_path: 
     process.wait()
     finished = {name: (out / name).stat().st_mtime_ns for name in _listed(out)}
     assert 1 <= len(finished) < 5
-    with pytest.raises(ValueError, match="is not finished; run the command"):
+    with pytest.raises(ValueError, match="is not finished; run again the command"):
         Archive.open(out)
     (out / ".train-0002-000.parquet.0123456789ab.part").write_bytes(b"half")
     (out / "test-0000-000.parquet").write_bytes((whole / "test-0000-000.parquet").read_bytes()[:5000])

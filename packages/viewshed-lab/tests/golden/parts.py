@@ -22,7 +22,7 @@ RESULTS = FOLDER.parents[3] / "docs" / "results"
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """One part; both functions are given the folder of real sweeps, or None where there is none."""
+    """One part; both functions take the folder of real sweeps, or None if there is none."""
 
     record: Callable[[Path | None], None]
     check: Callable[[Path | None], list[str]]
@@ -56,7 +56,7 @@ def _facts(part: str) -> dict[str, str]:
 def _record_arrays(real_data: Path | None) -> None:
     if real_data is None:
         raise ValueError("recording arrays needs the real sweeps; set VIEWSHED_REAL_DATA to their folder")
-    found: dict[str, dict[str, recorder.Arrays]] = {method: {} for method in recorder.METHODS}
+    arrays: dict[str, dict[str, recorder.Arrays]] = {method: {} for method in recorder.METHODS}
     about: dict[str, dict[str, Any]] = {}
     for name in recorder.SWEEPS:
         sweep = recorder.sweep_of(name, real_data)
@@ -65,8 +65,8 @@ def _record_arrays(real_data: Path | None) -> None:
         if sha256 is not None:
             about[str(name)]["sha256"] = sha256
         for method in recorder.methods_of(name):
-            found[method][str(name)] = recorder.estimate(method, name, sweep)
-    for method, estimates in found.items():
+            arrays[method][str(name)] = recorder.estimate(method, name, sweep)
+    for method, estimates in arrays.items():
         stored.save(method, estimates)
     config = recorder.config()
     write_json(stored.MANIFEST, {**_facts("arrays"), "config": config, "sweeps": about})
@@ -79,15 +79,15 @@ def _record_shards(_: Path | None) -> None:
 
 
 def shard_differences(preset: str, folder: Path) -> list[str]:
-    """Return one line for each column of the short shard of a preset that is not as recorded."""
-    wanted, found = read_json(SHARDS)["presets"][preset], recorder.shard_digests(preset, folder)
-    if set(wanted) != set(found):
-        return [f"{preset}: frames are {', '.join(found)}, not {', '.join(wanted)}"]
+    """Return one line for each column of the short shard of a preset that differs from the recorded one."""
+    expected, actual = read_json(SHARDS)["presets"][preset], recorder.shard_digests(preset, folder)
+    if set(expected) != set(actual):
+        return [f"{preset}: frames are {', '.join(actual)}, not {', '.join(expected)}"]
     return [
         f"{preset}, frame {frame}: {column} differs"
-        for frame in wanted
-        for column in sorted({*wanted[frame], *found[frame]})
-        if wanted[frame].get(column) != found[frame].get(column)
+        for frame in expected
+        for column in sorted({*expected[frame], *actual[frame]})
+        if expected[frame].get(column) != actual[frame].get(column)
     ]
 
 
@@ -103,7 +103,7 @@ def _check_arrays(real_data: Path | None) -> list[str]:
 
 
 def published() -> dict[str, tables.Page]:
-    """Return the tables of the published pages by page; the overview has none, and full pages are not published."""
+    """Return the tables of the published pages, by page; the overview and the full pages (``_full``) are skipped."""
     paths = [path for path in sorted(RESULTS.glob("*.md")) if path.stem != "index" and not path.stem.endswith("_full")]
     pages = {path.stem: tables.parse(path.read_text(encoding="utf-8")) for path in paths}
     return {name: page for name, page in pages.items() if page}
@@ -123,7 +123,7 @@ def _record_tables(kind: str, pages: dict[str, tables.Page]) -> None:
 
 
 def table_differences(kind: str, pages: dict[str, tables.Page]) -> list[str]:
-    """Return one line for each table, header or row that is not as recorded."""
+    """Return one line for each table, header or row that differs from the recorded one."""
     recorded = {path.stem: read_json(path) for path in sorted((TABLES / kind).glob("*.json"))}
     names = [*recorded, *(name for name in pages if name not in recorded)]
     return [line for name in names for line in tables.differences(name, recorded.get(name, {}), pages.get(name, {}))]

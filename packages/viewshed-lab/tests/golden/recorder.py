@@ -1,4 +1,4 @@
-"""Every call of the golden files into viewshed, in one module: what moves in the package is mended here alone."""
+"""All calls of the golden-file tests into viewshed, so that a moved name in the package is fixed only here."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from viewshed_lab.threats.attacks import ATTACKS, Knowledge
 
 ATTACK_SEED = 20260
 PASSES = 3
-"""Of Monte Carlo dropout: enough to see a deviation."""
+"""Passes of Monte Carlo dropout: enough for a nonzero standard deviation."""
 _HALF_EXTENT_M = {"road": 64.0, "indoor": 16.0}
 _TARGETS = {"road": "car", "indoor": "pedestrian"}
 _PAPER_RANGE_M = {"road": 100.0, "indoor": 20.0}
@@ -38,7 +38,7 @@ _PAPER_RANGE_M = {"road": 100.0, "indoor": 20.0}
 
 @dataclass(frozen=True, slots=True)
 class Arrays:
-    """One estimate in bytes: state, round(255 p), and round(255 std) with 255 where there is none, each (256, 256)."""
+    """One estimate as uint8: state, round(255 p), and round(255 std), 255 if there is no std; each (256, 256)."""
 
     state: NDArray[np.uint8]
     prob: NDArray[np.uint8]
@@ -88,7 +88,7 @@ REAL = tuple(
     }.items()
     for place in places
 )
-"""20 real sweeps of all sensors that there are sweeps of."""
+"""20 real sweeps, at least one of each available sensor."""
 
 
 _ATTACKS = (
@@ -99,11 +99,11 @@ _ATTACKS = (
 
 
 def _simulated() -> Iterator[SweepName]:
-    """Yield 28 sweeps on roads and 22 indoors; every other one attacked, until each attack was used once."""
+    """Yield 28 sweeps on roads and 22 indoors; every second one is attacked until each attack was used once."""
     attacks = iter(_ATTACKS)
     for preset, grid, count in (("roads", "road", 28), ("rooms", "indoor", 22)):
         for scene in range(count):
-            # The last frames of a scene on roads are those of its mast.
+            # The last frames of a road scene are from the sensor on its mast.
             frame = 3 if preset == "roads" and scene % 7 == 6 else 2
             yield SweepName(preset, f"{scene}/{frame}", grid, next(attacks, "") if scene % 2 else "")
 
@@ -125,9 +125,9 @@ PAPER_SWEEPS = frozenset(map(str, (*REAL[::5], *SIMULATED[::10])))
 
 
 def unrecorded() -> list[str]:
-    """Return the estimators and attacks of the package's tables that no golden array shows.
+    """Return the estimators and attacks of the package's tables that have no golden array.
 
-    An aimed or a clean attack is shown by the one that it is of, whose wedge or noise is another.
+    An ``_aimed`` or ``_clean`` attack is covered by its base attack, which differs only in wedge or noise.
     """
     attacks = {name.attack for name in SIMULATED}
     missing = [name for name in ATTACKS if name.removesuffix("_aimed").removesuffix("_clean") not in attacks]
@@ -150,7 +150,7 @@ def _entries(folder: Path) -> dict[Path, Callable[[], Sweep]]:
 
 
 def sweep_of(name: SweepName, real_data: Path | None) -> Sweep:
-    """Return the sweep of a name: read from the folder of real data, or simulated, and attacked."""
+    """Return the named sweep: read from the folder of real data, or simulated and, if so named, attacked."""
     if name.source == "real":
         if real_data is None:
             raise ValueError(f"{name} needs the folder of real sweeps; set VIEWSHED_REAL_DATA")
@@ -166,9 +166,9 @@ def sweep_of(name: SweepName, real_data: Path | None) -> Sweep:
 
 
 def _simulated_sweep(preset: str, scene: int, frame: int) -> Sweep:
-    # The truth is not looked at: a coarse grid of it saves time.
-    cheap = replace(preset_named(preset), grid_cells=8)
-    return simulate_frame(ScenePlan(cheap, 0, scene), frame).sweep
+    # The truth is not used here: a coarse grid saves time.
+    coarse = replace(preset_named(preset), grid_cells=8)
+    return simulate_frame(ScenePlan(coarse, 0, scene), frame).sweep
 
 
 @cache
@@ -182,10 +182,10 @@ def _estimator(method: str, grid_name: str) -> FovEstimator:
 
 
 def estimate(method: str, name: SweepName, sweep: Sweep) -> Arrays:
-    """Return what a method estimates of a sweep; networks run with shipped weights and a fixed seed."""
-    found: FovEstimate = _estimator(method, name.grid).estimate(sweep)
-    std = np.full(found.state.shape, np.nan, np.float32) if found.std is None else found.std
-    return Arrays(found.state, _bytes(found.visible_prob), _bytes(np.where(np.isnan(std), np.float32(1.0), std)))
+    """Return the estimate of a method for a sweep; networks run with shipped weights and a fixed seed."""
+    fov: FovEstimate = _estimator(method, name.grid).estimate(sweep)
+    std = np.full(fov.state.shape, np.nan, np.float32) if fov.std is None else fov.std
+    return Arrays(fov.state, _bytes(fov.visible_prob), _bytes(np.where(np.isnan(std), np.float32(1.0), std)))
 
 
 def _bytes(values: NDArray[np.float32]) -> NDArray[np.uint8]:
@@ -197,13 +197,13 @@ PRESETS = preset_names()
 
 
 def shard_digests(preset: str, folder: Path) -> dict[str, dict[str, str]]:
-    """Return hashes by frame and column of a short shard of a preset, written as the archive's and read again.
+    """Write a short shard of a preset as an archive does, read it again, and return hashes by frame and column.
 
-    Its frames are the first of the first agent, of the last agent, and the second of the first.
+    Its frames are the first of the first agent, the first of the last agent, and the second of the first agent.
     """
-    made: Preset = preset_named(preset)
-    scene, store = ScenePlan(made, 0, 1), Storage.of(folder)
-    numbers = sorted({0, made.agents - 1, made.agents})
+    plan: Preset = preset_named(preset)
+    scene, store = ScenePlan(plan, 0, 1), Storage.of(folder)
+    numbers = sorted({0, plan.agents - 1, plan.agents})
     frames = (simulate_frame(scene, number) for number in numbers)
     write_shard(store, f"{preset}.parquet", frames)
     shard = Shard(store, f"{preset}.parquet")
@@ -214,7 +214,7 @@ def shard_digests(preset: str, folder: Path) -> dict[str, dict[str, str]]:
 
 
 def _digests(frame: Sample) -> dict[str, str]:
-    """Integers and masks are hashed as they are, floats after rounding to a step that noise seldom crosses."""
+    """Hash integers and masks unchanged, and floats rounded to a step that numerical noise seldom crosses."""
     image, sweep, truth = frame.measured, frame.sweep, frame.truth
     if isinstance(image, Sweep):
         raise TypeError("a simulated frame must hold its range image, got a sweep")
@@ -232,7 +232,7 @@ def _digests(frame: Sample) -> dict[str, str]:
 
 
 def _rounded(values: Any) -> NDArray[np.int64]:
-    """Return whole steps of a tenth of a millimeter."""
+    """Round to whole multiples of 1e-4 (0.1 mm)."""
     return np.rint(np.asarray(values, np.float64) * 1e4).astype(np.int64)
 
 
@@ -242,7 +242,7 @@ def _digest(values: NDArray[Any]) -> str:
 
 
 def config() -> dict[str, Any]:
-    """Return with what the arrays are made, as plain values."""
+    """Return the settings of the golden arrays as plain values."""
     return {
         "attack_seed": ATTACK_SEED,
         "dropout": {"passes": PASSES, "seed": 0},
@@ -288,20 +288,20 @@ def tiny_pages(folder: Path) -> dict[str, str]:
     run("evaluate", "crossview", "posed/index.json", "--attacks", "cluster_on_beams", "--out", "crossview.md")
     run("attack", "sweeps", "--attack", "ghost_wall", "--out", "attacked")
     run("monitor", "fit", "sweeps", "--passes", "3", "--false-alarm-rate", "0.1", "--out", "monitor.npz")
-    told = run("monitor", "check", "sweeps", "attacked", "--monitor-file", "monitor.npz")
+    verdicts = run("monitor", "check", "sweeps", "attacked", "--monitor-file", "monitor.npz")
     pages = {name: _whole_page(folder / path) for name, path in TINY_PAGES.items()}
-    lines = "".join(f"| {line} |\n" for line in told.splitlines())
+    lines = "".join(f"| {line} |\n" for line in verdicts.splitlines())
     return pages | {"monitor": f"# Monitor\n\n| what the monitor said |\n|---|\n{lines}"}
 
 
 def _whole_page(path: Path) -> str:
-    """Return a page with all of its tables, which stand in a file beside it where the page leaves some out."""
+    """Return a page with all its tables: NAME_full.md if the page omits some, else the page itself."""
     full = path.with_name(f"{path.stem}_full.md")
     return (full if full.exists() else path).read_text(encoding="utf-8")
 
 
 def _run(folder: Path, *words: str) -> str:
-    """Return what a command of viewshed wrote on standard output."""
+    """Run a viewshed command and return its standard output."""
     done = subprocess.run(
         [sys.executable, "-c", _CLI, *words], cwd=folder, check=False, capture_output=True, text=True,
         env={**os.environ, "OMP_NUM_THREADS": "1", "MPLBACKEND": "Agg"},
@@ -312,7 +312,7 @@ def _run(folder: Path, *words: str) -> str:
 
 
 def _write_index(folder: Path) -> None:
-    """Write an index of five posed sweeps of one simulated scene, a second and a half apart."""
+    """Write an index of five posed sweeps of one simulated scene, 1.5 s apart."""
     scene, entries = ScenePlan(preset_named("nuscenes-small"), 0, 1), []
     folder.mkdir()
     for number in range(0, 15, 3):

@@ -1,11 +1,11 @@
-"""Golden arrays on disk: how they are packed, and how far an estimate may lie from them.
+"""Golden arrays on disk: their format, and how far an estimate may differ from them.
 
-``arrays/METHOD.npz.xz`` holds ``names`` (n,), ``state`` (n, 256, 256) and, where they say more than the state,
-``prob`` and ``std`` as round(255 x), all uint8. Probabilities and deviations of networks are stored at every second
-row and column only, for they hardly compress; states and the probabilities of the others are whole. A method without
-``prob`` claims exactly its FREE and SURFACE cells; one without ``std`` has no deviation.
+``arrays/METHOD.npz.xz`` holds ``names`` (n,), ``state`` (n, 256, 256) and, where they add to the state,
+``prob`` and ``std`` as round(255 x), all uint8. Probabilities and deviations of networks hardly compress, so only every
+second row and column is stored; states and the probabilities of the others are complete. A method without ``prob``
+claims exactly its FREE and SURFACE cells; one without ``std`` has no deviation.
 
-``arrays/manifest.json`` says what they were made of. The real sweeps are not in the repository: it has their paths
+``arrays/manifest.json`` records their inputs. The real sweeps are not in the repository; the manifest has their paths
 and checksums.
 """
 
@@ -28,9 +28,9 @@ from tests.golden.recorder import Arrays, SweepName
 FOLDER = Path(__file__).parent / "arrays"
 MANIFEST = FOLDER / "manifest.json"
 SHARE = 1e-4
-"""Of all cells of a method, over its sweeps together, that may differ on another processor."""
+"""Largest share of all cells of a method, over all its sweeps, that may differ on another processor."""
 SWEEP_SHARE = 1e-3
-"""Of the cells of one sweep."""
+"""Largest share of the cells of one sweep that may differ."""
 _NO_STD = 255
 _Bytes = NDArray[np.uint8]
 
@@ -38,8 +38,8 @@ _Bytes = NDArray[np.uint8]
 def save(method: str, estimates: Mapping[str, Arrays]) -> None:
     """Write the estimates of a method, by the names of the sweeps."""
     table: dict[str, Any] = {"names": np.array(list(estimates))}
-    table["state"] = np.stack([each.state for each in estimates.values()])
-    prob, std = (np.stack([getattr(each, name) for each in estimates.values()]) for name in ("prob", "std"))
+    table["state"] = np.stack([arrays.state for arrays in estimates.values()])
+    prob, std = (np.stack([getattr(arrays, name) for arrays in estimates.values()]) for name in ("prob", "std"))
     step = _step(method)
     if not np.array_equal(prob, _certain(table["state"])):
         table["prob"] = prob[:, ::step, ::step]
@@ -52,7 +52,7 @@ def save(method: str, estimates: Mapping[str, Arrays]) -> None:
 
 
 def load(method: str) -> dict[str, Arrays]:
-    """Return the golden estimates of a method by the names of the sweeps; those of networks as they are stored."""
+    """Return the golden estimates of a method by sweep name; prob and std of networks at every second row, column."""
     step = _step(method)
     content = lzma.decompress((FOLDER / f"{method}.npz.xz").read_bytes())
     with np.load(io.BytesIO(content), allow_pickle=False) as table:
@@ -60,7 +60,7 @@ def load(method: str) -> dict[str, Arrays]:
         coarse = state[:, ::step, ::step]
         prob = table["prob"] if "prob" in table else _certain(coarse)
         std = table["std"] if "std" in table else np.full(coarse.shape, _NO_STD, np.uint8)
-        return {str(name): Arrays(*each) for name, *each in zip(table["names"], state, prob, std, strict=True)}
+        return {str(name): Arrays(*arrays) for name, *arrays in zip(table["names"], state, prob, std, strict=True)}
 
 
 def checksum(name: SweepName, real_data: Path) -> str | None:
@@ -71,13 +71,13 @@ def checksum(name: SweepName, real_data: Path) -> str | None:
 
 
 def sweeps_of_manifest() -> dict[str, Any]:
-    """Return what the manifest says about each sweep, by its name."""
+    """Return the manifest's entry for each sweep, by its name."""
     table: dict[str, Any] = json.loads(MANIFEST.read_text(encoding="utf-8"))["sweeps"]
     return table
 
 
 def differences(names: Iterable[SweepName], real_data: Path | None) -> list[str]:
-    """Return one line for each method and quantity that is not within tolerance, over the sweeps ``names``."""
+    """Return one line for each method and quantity outside the tolerance, over the sweeps ``names``."""
     golden: dict[str, dict[str, Arrays]] = {}
     wrong: defaultdict[tuple[str, str], dict[str, tuple[int, int]]] = defaultdict(dict)
     lines, known = [], sweeps_of_manifest()
@@ -89,19 +89,19 @@ def differences(names: Iterable[SweepName], real_data: Path | None) -> list[str]
         for method in recorder.methods_of(name):
             if method not in golden:
                 golden[method] = load(method)
-            found = recorder.estimate(method, name, sweep)
-            for quantity, mask in _differing(method, found, golden[method][str(name)]).items():
+            actual = recorder.estimate(method, name, sweep)
+            for quantity, mask in _differing(method, actual, golden[method][str(name)]).items():
                 wrong[method, quantity][str(name)] = int(mask.sum()), mask.size
     return lines + [line for key, counts in wrong.items() for line in _judged(key, counts)]
 
 
-def _differing(method: str, found: Arrays, wanted: Arrays) -> dict[str, NDArray[np.bool_]]:
+def _differing(method: str, actual: Arrays, expected: Arrays) -> dict[str, NDArray[np.bool_]]:
     step = _step(method)
     prob, std = (
         np.abs(ours[::step, ::step].astype(np.int16) - theirs) > 1
-        for ours, theirs in ((found.prob, wanted.prob), (found.std, wanted.std))
+        for ours, theirs in ((actual.prob, expected.prob), (actual.std, expected.std))
     )
-    return {"state": found.state != wanted.state, "prob": prob, "std": std}
+    return {"state": actual.state != expected.state, "prob": prob, "std": std}
 
 
 def _judged(key: tuple[str, str], counts: Mapping[str, tuple[int, int]]) -> Iterable[str]:
@@ -114,7 +114,7 @@ def _judged(key: tuple[str, str], counts: Mapping[str, tuple[int, int]]) -> Iter
 
 
 def _certain(state: _Bytes) -> _Bytes:
-    """Return the probability in bytes of a method that is sure of its states: 255 where FREE or SURFACE."""
+    """Return the uint8 probability of a method that is certain of its states: 255 where FREE or SURFACE."""
     return np.where((state == 1) | (state == 2), np.uint8(255), np.uint8(0))
 
 

@@ -1,8 +1,8 @@
-"""Tables of Markdown pages as data, and how far one may lie from another.
+"""Tables of Markdown pages as data, and how far two may differ.
 
-``tables/published`` holds those of ``docs/results`` as they are published, ``tables/tiny`` what the studies give for
-their tiny plans: page → title → tables of header and rows, all cells as text. Columns of timings are left out of the
-tiny ones and compared nowhere. Facts above the tables, such as dates and commits, are no tables.
+``tables/published`` holds the tables of ``docs/results``, ``tables/tiny`` those of the studies' tiny plans: page →
+title → tables of header and rows, all cells as text. Columns of timings are not stored for tiny plans and never
+compared. Facts outside of tables, such as dates and commits, are ignored.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ from typing import Any
 
 Page = dict[str, list[dict[str, Any]]]
 RELATIVE = 0.002
-"""Of the value, that numbers with decimals and whole numbers from 100 on may differ by."""
+"""Largest relative difference of numbers with decimals, and of whole numbers of 100 or more."""
 LAST_DIGITS = 2
-"""Units of the last digit that numbers with decimals may differ by."""
+"""Largest difference of numbers with decimals, in units of the last digit, where that is more."""
 _NUMBER = re.compile(r"\d*\.\d+|\d+")
 _TIMING = re.compile(
     r"\bms\b|\bsecond|frames/s|sweeps/s|\btime\b|in the network|\bHz\b|GFLOP/s|two processes|\bclock\b"
@@ -24,7 +24,7 @@ _BAR = re.compile(r"(?<!\\)\|")
 
 
 def parse(markdown: str) -> Page:
-    """Return the tables of a page by the title that they stand under, headings joined with slashes.
+    """Return the tables of a page by their headings, joined with slashes.
 
     >>> parse("# Page\\n\\n## Part\\n\\n| a | b |\\n|---|---|\\n| 1 | 2 |\\n")
     {'Page / Part': [{'header': ['a', 'b'], 'rows': [['1', '2']]}]}
@@ -52,7 +52,7 @@ def _cells(line: str) -> list[str]:
 
 
 def without_timings(page: Page) -> Page:
-    """Return the tables less the columns that tell times and speeds."""
+    """Return the tables without the columns of times and speeds."""
     return {title: [_without_timings(table) for table in tables] for title, tables in page.items()}
 
 
@@ -65,11 +65,11 @@ def _without_timings(table: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def differences(name: str, wanted: Page, found: Page) -> Iterator[str]:
-    """Yield one line for each table that is missing or new, and for each header or row that is another one."""
-    wanted, found = without_timings(wanted), without_timings(found)
-    for title in [*wanted, *(title for title in found if title not in wanted)]:
-        before, now = wanted.get(title, []), found.get(title, [])
+def differences(name: str, expected: Page, actual: Page) -> Iterator[str]:
+    """Yield one line for each table that is missing or new, and for each header or row that differs."""
+    expected, actual = without_timings(expected), without_timings(actual)
+    for title in [*expected, *(title for title in actual if title not in expected)]:
+        before, now = expected.get(title, []), actual.get(title, [])
         if len(before) != len(now):
             yield f"{name}: {title}: {len(now)} tables, not {len(before)}"
             continue
@@ -78,13 +78,13 @@ def differences(name: str, wanted: Page, found: Page) -> Iterator[str]:
                 yield f"{name}: {title}: {line}"
 
 
-def _table_differences(wanted: Mapping[str, Any], found: Mapping[str, Any]) -> Iterator[str]:
-    if wanted["header"] != found["header"]:
-        yield f"the header is {found['header']}, not {wanted['header']}"
-    elif len(wanted["rows"]) != len(found["rows"]):
-        yield f"{len(found['rows'])} rows, not {len(wanted['rows'])}"
+def _table_differences(expected: Mapping[str, Any], actual: Mapping[str, Any]) -> Iterator[str]:
+    if expected["header"] != actual["header"]:
+        yield f"the header is {actual['header']}, not {expected['header']}"
+    elif len(expected["rows"]) != len(actual["rows"]):
+        yield f"{len(actual['rows'])} rows, not {len(expected['rows'])}"
     else:
-        for before, now in zip(wanted["rows"], found["rows"], strict=True):
+        for before, now in zip(expected["rows"], actual["rows"], strict=True):
             if not _same_row(before, now):
                 yield f"the row is {now}, not {before}"
 

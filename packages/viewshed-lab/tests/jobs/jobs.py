@@ -1,4 +1,4 @@
-"""What the engines' tests let workers do; a module of its own, so that other processes can import it."""
+"""Jobs that the engines' tests run in workers; a separate module, so that other processes can import it."""
 
 import os
 import signal
@@ -18,12 +18,12 @@ def square(job: int) -> int:
 
 
 def unlike(job: int) -> object:
-    """A result that cannot travel."""
+    """Return a result that cannot be pickled for job 1."""
     return (lambda: job) if job == 1 else job
 
 
 def kill_own_process(folder: Path, times: int, job: int) -> int:
-    """Kill this worker (job 2 only) until it has been begun more than ``times`` times."""
+    """Square the job; job 2 kills its worker in its first ``times`` attempts."""
     if job == 2:
         with (folder / "begun").open("a") as file:
             file.write("x")
@@ -33,7 +33,7 @@ def kill_own_process(folder: Path, times: int, job: int) -> int:
 
 
 def write_file(folder: Path, job: int) -> tuple[int, int]:
-    """Write a file; on the doomed node do so twice, then say so and hang: it dies in the middle of the third job."""
+    """Write a file; on the doomed node the third job signals ``hangs`` and waits, to be killed half way."""
     doomed, begun = folder / "doomed", folder / f"begun{os.getppid()}"
     with begun.open("a") as file:
         file.write("x")
@@ -47,7 +47,7 @@ def write_file(folder: Path, job: int) -> tuple[int, int]:
 
 
 def process_id(folder: Path, job: int) -> int:
-    """Say which process works, then hang; the first job ends once a second process works."""
+    """Record this process by a file; job 0 returns its id once a second process has started, other jobs hang."""
     (folder / f"{os.getpid()}.pid").touch()
     end_s = time.monotonic() + 120
     while time.monotonic() < end_s and (job > 0 or len(list(folder.glob("*.pid"))) < 2):
@@ -56,7 +56,7 @@ def process_id(folder: Path, job: int) -> int:
 
 
 def loud(job: int) -> int:
-    """Print what nobody wants to see beside a progress bar."""
+    """Print lines that must not appear next to a progress bar."""
     print("a worker's chatter")
     print("a worker's complaint", file=sys.stderr)
     return job

@@ -69,7 +69,7 @@ def test_what_cannot_travel_is_an_error_of_its_job(name: str, request: pytest.Fi
     engine: Any = ENGINES[name](2)
     done = _in_order(engine.run(jobs.unlike, [0, 1, 2]))
     if name == "local":  # Ray can send functions
-        assert "job 1 cannot travel between processes" in str(done[1].error)
+        assert "job 1 cannot be passed between processes" in str(done[1].error)
     assert [done[0].result, done[2].result] == [0, 2]
     unsent = _in_order(engine.run(jobs.unlike, [5, (_ for _ in ()), 6]))
     assert [one.result for one in unsent] == [5, None, 6]
@@ -92,7 +92,7 @@ def test_a_killed_worker_is_replaced(
     assert (done[2].error is None) == (result is not None)
     if result is None:
         end = "signal 9 (out of memory?)" if name == "local" else ""
-        assert f"the worker died {TRIES} times over this job, at last with {end}" in str(done[2].error)
+        assert f"the worker died {TRIES} times on this job, the last time with {end}" in str(done[2].error)
 
 
 def test_engines_are_checked_when_they_are_made() -> None:

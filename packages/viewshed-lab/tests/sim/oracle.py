@@ -1,7 +1,7 @@
 """Brute force: every beam against every solid and every triangle, in double precision, by other formulas.
 
 Boxes as six faces, cylinders and ellipsoids by the quadratic formula, triangles by barycentric coordinates. Nothing is
-left out because it seems out of sight.
+culled.
 """
 
 import numpy as np
@@ -45,7 +45,7 @@ def solid_interval(snapshot: Snapshot, s: int, origin: F64, direction: F64, time
 
 @njit(cache=True, error_model="numpy")
 def _faces(o: F64, d: F64, half: F64) -> tuple[F64, F64]:
-    """A beam crosses the face of axis k at ±half[k] where the other two coordinates lie within theirs."""
+    """Return entry and exit depths: a beam hits the face k at ±half[k] if its other two coordinates lie on it."""
     near, far = np.full(len(o), np.nan), np.full(len(o), np.nan)
     for i in range(len(o)):
         for k in range(3):
@@ -89,7 +89,7 @@ def ground_depth(snapshot: Snapshot, origin: F64, direction: F64) -> F64:
 
 @njit(cache=True, error_model="numpy")
 def _first_crossing(first: F64, e1: F64, e2: F64, normal: F64, origin: F64, direction: F64) -> F64:
-    found = np.full(len(origin), np.inf)
+    depths = np.full(len(origin), np.inf)
     for n in range(len(first)):
         g11 = g12 = g22 = 0.0
         for k in range(3):
@@ -106,8 +106,8 @@ def _first_crossing(first: F64, e1: F64, e2: F64, normal: F64, origin: F64, dire
                 on1, on2 = on1 + e1[n, k] * p, on2 + e2[n, k] * p
             u, v = (g22 * on1 - g12 * on2) / scale, (g11 * on2 - g12 * on1) / scale
             if u >= -1e-9 and v >= -1e-9 and u + v <= 1 + 1e-9 and t > NEAREST_M:
-                found[i] = min(found[i], t)
-    return found
+                depths[i] = min(depths[i], t)
+    return depths
 
 
 def triangles_of(snapshot: Snapshot) -> F64:
@@ -125,7 +125,7 @@ def triangles_of(snapshot: Snapshot) -> F64:
 def opaque_depth(snapshot: Snapshot, rays: tuple[F64, F64, F64], max_range_m: float) -> tuple[F64, NDArray[np.int64]]:
     """Return depth (N,) and solid of the first opaque stop of every beam; -1 the ground, -2 nothing.
 
-    Volumes that beams may pass (finite ``per_m``) are left out.
+    Volumes that beams may pass (finite ``per_m``) are skipped.
     """
     depth, winner = np.full(len(rays[0]), np.inf), np.full(len(rays[0]), -2)
     for s in range(len(snapshot.kind)):

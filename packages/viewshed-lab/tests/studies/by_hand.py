@@ -1,4 +1,4 @@
-"""Rows of counts that are known."""
+"""Result rows with known counts."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
@@ -33,11 +33,11 @@ def rows(
 
 
 def refused(domain: str, number: int, case: Case, reason: str) -> Row:
-    """Return the row of a case that could not be made."""
+    """Return the row of a case that could not be simulated."""
     return row_of(Series(domain, "", case), f"s{number}", number, refused=reason)
 
 
 def stored(store: ResultStore[Any]) -> dict[JobKey, tuple[str, str]]:
-    """Return what each finished job found, less the commits of the code that did it."""
+    """Return the result and facts of each finished job, without the commits of the code."""
     frames = {key: pd.read_parquet(store.path_of(key)) for key in sorted(store.keys())}
     return {key: (frame.to_json(), repr(frame.attrs["facts"])) for key, frame in frames.items()}

@@ -227,9 +227,9 @@ def test_wrong_priors_and_rounds_are_refused() -> None:
         MateTrust(agent_prior="friend").of_agent("car")
     trust = MateTrust()
     trust.update(1.0, reports(), IDS, AT, NINE)
-    with pytest.raises(ValueError, match=r"must not go back, got 0\.5 after 1\.0"):
+    with pytest.raises(ValueError, match=r"must not decrease, got 0\.5 after 1\.0"):
         trust.update(0.5, reports(), IDS, AT, NINE)
-    with pytest.raises(ValueError, match="of 1 tracks whether it covers them"):
+    with pytest.raises(ValueError, match="one value for each of 1 tracks"):
         trust.update(2.0, reports(), IDS[:1], AT[:1], NINE[:1])
 
 

@@ -18,7 +18,7 @@ REFUSED: dict[type[Plan], list[tuple[dict[str, object], str]]] = {
         ({"cells": 30}, "cells must divide by 2 to the power of the depth 2, got 30"),
         (
             {"pair_frames": [3, 13, 3]},
-            "pair_frames and strict_frames must be at most 12, what nuscenes has with a past",
+            "pair_frames and strict_frames must be at most 12, the frames of nuscenes with an earlier one",
         ),
         ({"monitor_frames": 4}, "monitor_frames must be at most 3, a third of the held-out scenes"),
         ({"monitor_false_alarms": 0.2}, r"monitor_false_alarms must lie in \[1 / \(monitor_frames \+ 1\), 1\), got 0"),

@@ -1,4 +1,4 @@
-"""A junction without symmetry as a VLP-16 sees it, with every column that a sweep may have."""
+"""A sweep of a VLP-16 at an asymmetric junction, with every optional column."""
 
 import numpy as np
 import pytest

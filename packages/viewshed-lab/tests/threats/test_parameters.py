@@ -39,7 +39,7 @@ REFUSED: list[tuple[object, str]] = [
     (on_objects(motion="sideways"), "motion must be one of static, markov, trajectory, got 'sideways'"),
     (on_objects(trajectory=((1.0, 0.0, 0.0), (0.0, 1.0, 0.0))), "trajectory must be rows of rising seconds…"),
     (lambda: Adversary("melt"), "attack must be one of … far_wall, … got 'melt'"),
-    (lambda: Adversary("far_wall", start_s=3.0, end_s=2.0), "… must start at 0 s or later, before it ends…"),
+    (lambda: Adversary("far_wall", start_s=3.0, end_s=2.0), "… must have 0 <= start_s < end_s…"),
     (lambda: defenses.StatisticalOutlierRemoval(0), "neighbors must lie in [1, 1000], got 0"),
     (lambda: defenses.RadiusOutlierRemoval(0.0), "radius_m must lie in (0, 1000], got 0.0"),
     (lambda: defenses.ClusteringOutlierRemoval(0.5, 1), "fewest must be at least 2, got 1"),

@@ -94,7 +94,7 @@ def test_what_loses_too_much_is_not_written(
 ) -> None:
     config, network = fresh
     monkeypatch.setattr(module, "MAX_F1_LOSS", -1.0)
-    with pytest.raises(ValueError, match=r"F1 in bytes must be within -1.0 of float32, got 0\.\d{4} and 0\.\d{4};"):
+    with pytest.raises(ValueError, match=r"F1 in int8 must be within -1.0 of float32, got 0\.\d{4} and 0\.\d{4};"):
         quantize(config, network, tmp_path / "bytes.onnx", 1)
     assert not (tmp_path / "bytes.onnx").exists()
 

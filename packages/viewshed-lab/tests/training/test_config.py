@@ -51,13 +51,13 @@ def test_wrong_files_are_refused(config: TrainConfig, tmp_path: Path) -> None:
         (text + "momentum = 0.9\n", r"missing or unknown: momentum"),
         (
             text + "fresh = true\n",
-            r"wrong.toml: fresh must be False, or left out, as a network is trained now, got True",
+            r"wrong.toml: fresh must be False or omitted, as other values are no longer supported, got True",
         ),
         (
             text + 'inputs = ["counts", "range"]\n',
-            r"inputs must be \['counts'\], or left out, .* got \['counts', 'range'\]",
+            r"inputs must be \['counts'\] or omitted, .* got \['counts', 'range'\]",
         ),
-        (text + "fold = 4\n", "fold must be 1, or left out"),
+        (text + "fold = 4\n", "fold must be 1 or omitted"),
         (text.replace("batch = 4", 'batch = "4"'), r"batch must be int, got '4'"),
         (text.replace("heights_m = [-10.0, 3.0]", "heights_m = [1.0]"), r"heights_m must be two numbers, got \[1.0\]"),
         ("batch = = 4", r"wrong.toml: Invalid value"),

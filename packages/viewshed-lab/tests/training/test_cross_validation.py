@@ -70,7 +70,7 @@ def test_optuna_asks_again_for_what_it_asked_before(short: TrainConfig, tmp_path
 
 def test_another_search_is_refused(short: TrainConfig, tmp_path: Path) -> None:
     crossval(short, tmp_path / "out", search=replace(SMALL, trials=1))
-    with pytest.raises(ValueError, match=r"last.ckpt is of a training with other batch; choose another"):
+    with pytest.raises(ValueError, match=r"last.ckpt belongs to a training with different batch; choose another"):
         crossval(replace(short, batch=3), tmp_path / "out", search=SMALL)
     with pytest.raises(ValueError, match="must have a scene for each of 7 folds, got 6; ask for fewer folds"):
         crossval(short, tmp_path / "new", search=replace(SMALL, folds=7))

@@ -50,7 +50,9 @@ def test_archives_that_do_not_fit_are_refused(config: TrainConfig, archive: Path
              "got 64 and 32")  # fmt: skip
     _refused(replace(config, data=(str(tmp_path / "none"),)), tmp_path, "data must name presets or archives, got")
     _refused(replace(config, train_split="all"), tmp_path, "train_split must be one of train, test of .* got 'all'")
-    _refused(replace(config, train_split="test"), tmp_path, "has 1 scene in split 'test'; validation is split by scene")
+    _refused(
+        replace(config, train_split="test"), tmp_path, r"has 1 scene\(s\) in split 'test'; validation is split by scene"
+    )
 
 
 def test_tampered_sweeps_have_no_label(config: TrainConfig, archive: Path, tmp_path: Path) -> None:
@@ -58,4 +60,4 @@ def test_tampered_sweeps_have_no_label(config: TrainConfig, archive: Path, tmp_p
     with pytest.raises(SystemExit):
         main(["attack", str(archive), "--attack", "uniform", "--workers", "1", "--out", str(out)])
     wanted = replace(config, data=(str(out),), truth="paper_label")
-    _refused(wanted, tmp_path, "holds tampered sweeps, and paper_label is of clean ones; train on its source")
+    _refused(wanted, tmp_path, "holds tampered sweeps, but paper_label needs clean ones; train on its source")

@@ -105,7 +105,7 @@ def test_what_cannot_be_quantized_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="frames must be at least one, got none"):
         quantize_network(content, "made", [])
     again = quantize_network(content, "made", maps(1))
-    with pytest.raises(ValueError, match="again must be a network in float32, got one in bytes; give the file that it"):
+    with pytest.raises(ValueError, match="again must be a float32 network, got an int8 one; give the file that it"):
         quantize_network(again, "again", maps(1))
     frame = maps(1)[0]
     with pytest.raises(ValueError, match=r"inputs must be uint8 of shape \(N, 32, 32, 1\), got float32 of shape"):

@@ -156,7 +156,7 @@ def test_what_a_worker_meets_is_one_line(config: TrainConfig, archive: Path, tmp
         content[1000:3000] = bytes(2000)
         shard.write_bytes(content)
     damaged = replace(config, data=(str(tmp_path / "damaged"),), workers=1)
-    with pytest.raises(ValueError, match=r"^\S+/train-\S+.parquet is damaged: [^\n]*run the command that made the"):
+    with pytest.raises(ValueError, match=r"^\S+/train-\S+.parquet is damaged: [^\n]*run again the command that made the"):
         train(damaged, tmp_path / "out")
     with pytest.raises(OSError, match="a worker ended early; it may have run out of memory: use fewer workers"):
         train(replace(config, workers=1), tmp_path / "killed", on_progress=_end_workers)
@@ -182,7 +182,9 @@ def test_a_checkpoint_of_something_else_is_refused(
     last = tmp_path / "last.ckpt"
     torch.save(content, last)
     _refused(
-        replace(config, epochs=5, width=8), tmp_path, r"last.ckpt is of a training with other epochs, width; choose"
+        replace(config, epochs=5, width=8),
+        tmp_path,
+        r"last.ckpt belongs to a training with different epochs, width; choose",
     )
     torch.save(content | {"viewshed": content["viewshed"] | {"version": "0.0.1"}}, last)
     _refused(config, tmp_path, r"was begun with viewshed 0.0.1, this is .*; finish it with that version, or choose")
@@ -191,7 +193,7 @@ def test_a_checkpoint_of_something_else_is_refused(
     torch.save({"state_dict": {}}, last)
     _refused(config, tmp_path, r"must be a checkpoint of viewshed train, got another; delete it, and training begins")
     last.write_bytes(trained(config).checkpoint.read_bytes()[:-1000])
-    _refused(config, tmp_path, r"last.ckpt is damaged or no checkpoint; delete it, and training begins again")
+    _refused(config, tmp_path, r"last.ckpt is damaged or not a checkpoint; delete it, and training begins again")
 
 
 def test_two_processes_train_together(config: TrainConfig, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:

@@ -21,10 +21,10 @@ from viewshed.objects.tracks import Tracks
 GRID = BevGrid(256, 32.0)
 
 CAR = np.array([12.0, 2.0, 0.75, 4.0, 2.0, 1.5, 0.0])
-"""A car whose near side is seen."""
+"""A car whose near side the sensor sees."""
 
 GHOST = np.array([8.0, -9.0, 0.75, 4.0, 2.0, 1.5, 0.0])
-"""A box in the open."""
+"""A box on free ground: an object that is not there."""
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ class HandView:
 
 
 def cells(*, with_car: bool = True) -> SeenCells:
-    """Return a view that is free but for the near side of ``CAR`` and its shadow, or free everywhere."""
+    """Return a view: free except the near side of ``CAR`` and its shadow; free everywhere without the car."""
     x, y = GRID.centers[..., 0], GRID.centers[..., 1]
     state = np.full(GRID.shape, CellState.FREE, np.uint8)
     inside = (np.abs(y - 2.0) < 1.0) & (x > 10.0) & with_car
@@ -65,12 +65,12 @@ def cells(*, with_car: bool = True) -> SeenCells:
 def view(
     t_s: float, *, p: float = 1.0, sensor: str = "top", with_cells: bool = True, report: IntegrityReport | None = None
 ) -> SensorView:
-    """Return what a sensor at the origin says."""
+    """Return the view of a sensor at the origin."""
     return SensorView(sensor, HandView(t_s, p), np.zeros(2), cells() if with_cells else None, report)
 
 
 def model() -> EvidenceModel:
-    """Return a model fitted on the car against the box in the open."""
+    """Return a model fitted on ``CAR`` against ``GHOST``."""
     rng = np.random.default_rng(0)
     kinds = np.full(50, ObjectKind.CAR, np.uint8)
 
@@ -90,7 +90,7 @@ def model() -> EvidenceModel:
 def tracks(
     t_s: float, boxes: list[NDArray[np.float64]], found: list[bool], *, p: float = 1.0, ids: list[int] | None = None,
 ) -> tuple[Tracks, Detections]:  # fmt: skip
-    """Return confirmed tracks at boxes, and the detections of those that were found."""
+    """Return confirmed tracks at boxes, and the detections of those that were detected."""
     count = len(boxes)
     rows = np.array(boxes).reshape(-1, 7)
     numbers = np.array(found, bool)

@@ -35,7 +35,7 @@ def ground() -> HeightMap:
 
 
 def message(sequence: Any = 1, agent: Any = "car1", t_ns: Any = NOW_NS, **changes: Any) -> Any:
-    """A message that has everything; keywords take the place of fields."""
+    """Return a message with all fields; keywords replace fields."""
     covariance = np.diag([0.04, 0.04, 0.01, 1e-4, 1e-4, 4e-4])
     covariance[0, 5] = covariance[5, 0] = 1e-3
     rng = np.random.default_rng(4)

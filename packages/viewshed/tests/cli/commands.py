@@ -1,4 +1,4 @@
-"""Running a command in this process, as a stranger types it."""
+"""Run a command in this process, as a user types it."""
 
 import contextlib
 import io
@@ -11,7 +11,7 @@ from viewshed.cli import main
 
 
 class Done(NamedTuple):
-    """Exit code and what was said."""
+    """Exit code, standard output and standard error."""
 
     returncode: int
     stdout: str
@@ -19,7 +19,7 @@ class Done(NamedTuple):
 
 
 def run(*arguments: object, cwd: Path | None = None) -> Done:
-    """Run a command, in another folder perhaps."""
+    """Run a command, in the working directory ``cwd`` if given."""
     out, err = io.StringIO(), io.StringIO()
     with (
         contextlib.redirect_stdout(out), contextlib.redirect_stderr(err),

@@ -168,8 +168,8 @@ REFUSED = {
     f"replay {GOOD} --as-fast --attack melt": "attack must be one of ",
     "record sim --to run.mcap --world moon": "world must be one of street, ",
     "record sim --to run.mcap --preset moon": "moon",
-    "record sim --to run.mcap --seconds 0.01": "a drive needs seconds above 0",
-    "record sim --to run.mcap --agents 0": "a drive needs seconds above 0",
+    "record sim --to run.mcap --seconds 0.01": "a drive must have seconds above 0",
+    "record sim --to run.mcap --agents 0": "a drive must have seconds above 0",
     "record sim --to run.mcap --topic /up": "sim reads no file: leave out --topic",
     # Networks.
     f"{UNET} --grid 64x16 --abstain-below 0.9 --threshold 0.8":

@@ -19,7 +19,7 @@ MakeLevel = Callable[..., LeveledSweep]
 
 
 def _cast(boxes: Sequence[Box] = (), sensor_m: float = SENSOR_M, columns: int = 720, reach_m: float = 60.0) -> Sweep:
-    """Nearest hit of 40 rings by ``columns`` beams, by the slab method."""
+    """Return a sweep of the nearest hits of 40 rings by ``columns`` beams, by the slab method."""
     elevation = np.deg2rad(np.linspace(-30.0, 3.0, 40))
     azimuth = (np.arange(columns) + 0.37) * 2 * np.pi / columns - np.pi
     ring, azimuth = np.repeat(np.arange(40), columns), np.tile(azimuth, 40)
@@ -41,7 +41,7 @@ def _cast(boxes: Sequence[Box] = (), sensor_m: float = SENSOR_M, columns: int = 
 def _level(
     points: NDArray[np.float32], azimuth: NDArray[np.float32] | None = None, sensor_m: float = SENSOR_M
 ) -> LeveledSweep:
-    """A level sweep on flat ground of points given in the level frame (z = 0 on the ground)."""
+    """Return a leveled sweep on flat ground from points in the level frame (z = 0 on the ground)."""
     points = np.ascontiguousarray(points, np.float32).reshape(-1, 3)
     range_m = np.hypot(points[:, 0].astype(np.float64), points[:, 1])
     azimuth = np.arctan2(points[:, 1], points[:, 0]) if azimuth is None else azimuth
@@ -59,17 +59,17 @@ def _level(
 
 @pytest.fixture(scope="session")
 def cast() -> CastScene:
-    """Make a sweep of boxes on flat ground."""
+    """Return the function that casts a sweep of boxes on flat ground."""
     return _cast
 
 
 @pytest.fixture(scope="session")
 def make_level() -> MakeLevel:
-    """Make a level sweep by hand."""
+    """Return the function that makes a leveled sweep from points."""
     return _level
 
 
 @pytest.fixture(scope="session")
 def street() -> Sweep:
-    """A wall ahead, a car left of it, a pole behind to the right: nothing is symmetric."""
+    """An asymmetric scene: a wall ahead, a car left of it, a pole behind to the right."""
     return _cast([(10.0, 10.5, -2.0, 6.0, 4.0), (3.0, 5.0, 6.5, 8.5, 1.5), (-7.0, -6.5, -3.5, -3.0, 3.0)])

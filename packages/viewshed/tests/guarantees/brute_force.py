@@ -1,4 +1,4 @@
-"""An independent checker of the envelope: loops over beams and cells in float64, no code of the package."""
+"""An independent envelope for comparison: loops over beams and cells in float64, without code of the package."""
 # mypy: disable-error-code="no-untyped-def,no-untyped-call,type-arg,var-annotated"
 
 import math
@@ -23,7 +23,7 @@ def depths(points, elevations, columns, rotation, near=0.5, far=100.0):
 
 @cache
 def slope_of(sine, sector, normal):
-    """Return the slope of the beam of that sine of elevation above an azimuth, by bisection."""
+    """Return the slope of a beam, given the sine of its elevation and its azimuth, by bisection."""
     low, high = -3.0, 3.0
     for _ in range(60):
         slope = (low + high) / 2
@@ -33,8 +33,8 @@ def slope_of(sine, sector, normal):
 
 
 def margins(nearest, elevations, columns, rotation, height, cells, half, grade=0.0, far=100.0):
-    """Return margins (cells, cells) on flat ground, or on that of a sensor that stands upright on its own slope."""
-    found, step = np.zeros((cells, cells)), 2 * half / cells
+    """Return margins (cells, cells); a tilted sensor stands upright on sloping ground, uncertain by ``grade``."""
+    margin, step = np.zeros((cells, cells)), 2 * half / cells
     normal = tuple(float(rotation[i][2]) for i in range(3))
     for i in range(cells):
         for j in range(cells):
@@ -53,5 +53,5 @@ def margins(nearest, elevations, columns, rotation, height, cells, half, grade=0
                 z = height + r * slope_of(math.sin(elevation), sector, normal)
                 if ground - spread - 0.02 <= z <= ground + spread + HEIGHT:
                     blocked = sum(nearest.get((ring, c % columns), math.inf) < r - step for c in window)
-                    found[i, j] += max(0, firings - blocked)
-    return found
+                    margin[i, j] += max(0, firings - blocked)
+    return margin

@@ -1,4 +1,4 @@
-"""A toy sensor over a small grid, random walls before it, and attacks on what it measures."""
+"""A toy sensor over a small grid, random walls in front of it, and attacks on its measurements."""
 
 from typing import Any
 
@@ -41,7 +41,7 @@ def scene(rng: np.random.Generator, model: LidarModel = TOY) -> NDArray[Any]:
 
 
 def sweep_of(depth: NDArray[Any], added: NDArray[Any] | None = None, **more: Any) -> Sweep:
-    """Return the sweep of ranges (columns, rings), and points added to it."""
+    """Return the sweep of ranges (columns, rings), with ``added`` points."""
     hit = np.isfinite(depth)
     points = (directions(more.get("model") or TOY) * np.where(hit, depth, 0.0)[..., None])[hit]
     points = points if added is None else np.concatenate([points, added])
@@ -60,7 +60,7 @@ def envelope(sweep: Sweep, grade: float = 0.0) -> Envelope:
 
 
 def attacked(rng: np.random.Generator, depth: NDArray[Any], beams: NDArray[Any]) -> Sweep:
-    """Return the sweep whose beams (K, 2), column and ring, return from elsewhere or not, with points added."""
+    """Return the sweep with new or lost returns at the ``beams`` (K, 2: column, ring), and random added points."""
     depth = depth.copy()
     depth[beams[:, 0], beams[:, 1]] = np.where(rng.random(len(beams)) < 0.5, np.inf, rng.uniform(0.6, 80.0, len(beams)))
     added = rng.normal(0.0, 6.0, (rng.integers(0, 40), 3)) if rng.random() < 0.7 else None

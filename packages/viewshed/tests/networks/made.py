@@ -1,4 +1,4 @@
-"""Networks made by hand: small ones with drawn weights, and one of which is known what it says."""
+"""Small networks for tests: some with random weights, and one with a known output."""
 
 import numpy as np
 import torch
@@ -13,17 +13,17 @@ GRID = BevGrid(32, 16.0)
 
 
 def card(shape: UNetShape = SMALL, grid: BevGrid = GRID, threshold: float = 0.5) -> NetworkCard:
-    """A card as training would write it."""
+    """Return a card as training writes it."""
     return NetworkCard("made", shape, grid, max_range_m=100.0, threshold=threshold, trained={"seed": "3"})
 
 
 def drawn(shape: UNetShape = SMALL, seed: int = 3) -> UNet:
-    """A network with drawn weights and drawn statistics of batch normalization, none of them trivial."""
-    draw = torch.Generator().manual_seed(seed)
+    """Return a network with random weights and random, nontrivial batch normalization statistics."""
+    generator = torch.Generator().manual_seed(seed)
     module = UNet(shape)
     for name, value in module.state_dict().items():
         if value.is_floating_point():
-            noise = torch.randn(value.shape, generator=draw)
+            noise = torch.randn(value.shape, generator=generator)
             if value.ndim == 4:
                 value.copy_(noise * (2.0 / value[0].numel()) ** 0.5)
             else:
@@ -35,7 +35,7 @@ def drawn(shape: UNetShape = SMALL, seed: int = 3) -> UNet:
 
 
 def nearby(shape: UNetShape = SMALL) -> UNet:
-    """A network that calls visible what lies within four cells of a return, and doubts a little under dropout."""
+    """Return a network that calls visible all cells within four of a return, with a small deviation under dropout."""
     module = drawn(shape)
     first, last = module.encoder[0], module.decoder[-1]
     assert isinstance(first, Stage)
@@ -58,5 +58,5 @@ def nearby(shape: UNetShape = SMALL) -> UNet:
 
 
 def inputs(count: int) -> np.ndarray[tuple[int, ...], np.dtype[np.float32]]:
-    """Counts as they come, (count, 1, cells, cells)."""
+    """Return random input counts (count, 1, cells, cells), divided by 1000."""
     return (np.random.default_rng(5).poisson(0.4, (count, 1, *GRID.shape)) / 1000).astype(np.float32)

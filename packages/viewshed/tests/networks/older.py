@@ -1,4 +1,4 @@
-"""Network files as older versions wrote them: with a second head, whose output nothing reads any more."""
+"""Network files of older versions: they have a second head, whose output is no longer used."""
 
 import json
 from typing import Any
@@ -9,20 +9,20 @@ from onnx import TensorProto, helper, numpy_helper
 
 
 def older_card(text: str) -> str:
-    """The JSON of a card with the keys that it and its shape had."""
+    """Return the JSON of a card with the keys of older versions, in it and in its shape."""
     content = json.loads(text)
     shape = {**content["shape"], "channels": 1, "fold": 1, "doubt": True}
     return json.dumps({**content, "shape": shape, "inputs": ["counts"]})
 
 
 def with_second_head(model: onnx.ModelProto) -> onnx.ModelProto:
-    """A model with the output ``deviation``, one for each of the inputs, from the last stage; its card says so."""
+    """Return a model with an output ``deviation`` per input, computed from the last stage, and an older card."""
     older, rng = onnx.ModelProto(), np.random.default_rng(7)
     older.CopyFrom(model)
     nodes = {name: node for node in older.graph.node for name in node.output}
     first_head = nodes[nodes[nodes["probability"].input[0]].input[0]]
-    bias = next(each for each in older.graph.initializer if each.name == first_head.input[2])
-    width = next(each for each in older.graph.initializer if each.name == first_head.input[1]).dims[1]
+    bias = next(tensor for tensor in older.graph.initializer if tensor.name == first_head.input[2])
+    width = next(tensor for tensor in older.graph.initializer if tensor.name == first_head.input[1]).dims[1]
     values = {
         "begin": np.array([0]), "channels": np.array([1]), "most": np.array(0.5, np.float32),
         "weight1": rng.normal(0, 0.1, (width, width, 3, 3)).astype(np.float32), "bias1": np.zeros(width, np.float32),

@@ -1,4 +1,4 @@
-"""Scenes by hand for the detector: cars of two boxes, people, walls, seen by one sensor."""
+"""Hand-made scenes for the detector: cars of two boxes, people and walls, seen by one sensor."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""Views and detections that a test writes down."""
+"""Views and detections with given values."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ from viewshed.objects.views import hidden_within
 
 @dataclass(frozen=True, slots=True)
 class ScriptedView:
-    """A view that sees a place with a probability that a function of its x and y (K, 2) gives."""
+    """A view whose probability of visible is a given function of positions (K, 2)."""
 
     t_s: float
     seen: Callable[[F64], F64]

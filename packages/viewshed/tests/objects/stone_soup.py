@@ -1,4 +1,4 @@
-"""One scenario, followed by our tracker and by Stone Soup with the same model, noise and cost of assignments."""
+"""One scenario, tracked by our tracker and by Stone Soup with the same model, noise and assignment costs."""
 
 import datetime
 from typing import Any
@@ -29,14 +29,14 @@ DENSITY, CENTER_STD_M, VELOCITY_STD_MPS = 1.7, 0.4, 6.0
 
 
 class LikelihoodDistance(SquaredMahalanobis):  # type: ignore[misc]
-    """Twice the negative log-likelihood of a detection, but for a constant: what our assignment adds up."""
+    """Twice the negative log-likelihood of a detection, up to a constant: the cost of our assignment."""
 
     def __call__(self, predicted: Any, measured: Any) -> float:
         return float(super().__call__(predicted, measured) + np.log(np.linalg.det(predicted.covar)))
 
 
 class EqualRules(ExistenceRules):
-    """All tracks are equally likely for ever, so that only their distances decide."""
+    """All tracks stay equally likely, so that only distances decide."""
 
     def judge(self, tracks: TrackTable, measured: Measured, matched: NDArray[np.int32]) -> None:
         pass
@@ -54,7 +54,7 @@ RULES = EqualRules(
 def scenario(
     rng: np.random.Generator, *, targets: int = 8, half_extent_m: float = 15.0, sweeps: int = 25
 ) -> list[tuple[float, F64]]:
-    """Return times and centers (K, 2): objects that cross, some missed, and false ones; uneven steps."""
+    """Return times and centers (K, 2): objects that cross, some missed, and false detections; uneven time steps."""
     place, velocity = rng.uniform(-half_extent_m, half_extent_m, (targets, 2)), rng.uniform(-6, 6, (targets, 2))
     times = np.cumsum(rng.choice([0.1, 0.2, 0.5], sweeps))
     recording = []
@@ -86,11 +86,11 @@ MISSED = 2.0 * np.log(
     / (UNSEEN_PER_M2 * (1.0 - RULES.most_found) + CLUTTER_PER_M2)
     / (2.0 * np.pi * CLUTTER_PER_M2)
 )
-"""Distance of no detection: where ours finds leaving both alone more likely."""
+"""Cost of no detection: above it, our tracker leaves a track and a detection unmatched."""
 
 
 def theirs(sweeps: list[tuple[float, F64]]) -> list[dict[int, tuple[int, Any]]]:
-    """Return the detection, -1 for none, and the state of each track by the sweep and detection that it began with."""
+    """Return for each sweep, by track number, the index of its detection (-1 for none) and its state."""
     model = CombinedLinearGaussianTransitionModel([ConstantVelocity(DENSITY), ConstantVelocity(DENSITY)])
     measured = LinearGaussian(4, (0, 2), CENTER_STD_M**2 * np.eye(2))
     predictor, updater = KalmanPredictor(model), KalmanUpdater(measured)
@@ -108,13 +108,13 @@ def theirs(sweeps: list[tuple[float, F64]]) -> list[dict[int, tuple[int, Any]]]:
             hypothesis = matches.get(track)
             of = -1
             if hypothesis:
-                of = next(k for k, each in enumerate(detections) if each is hypothesis.measurement)
+                of = next(k for k, one in enumerate(detections) if one is hypothesis.measurement)
                 left.remove(of)
                 track.append(updater.update(hypothesis))
             else:
                 track.append(predictor.predict(track, timestamp=now))
             states[number] = (of, track.state)
-        # New ones in the order of ours: by x, then y.
+        # Start new tracks in the order of our tracker: by x, then y.
         for k in sorted(left, key=lambda k: tuple(centers[k])):
             place = np.array([centers[k][0], 0.0, centers[k][1], 0.0])
             spread = np.diag([CENTER_STD_M, VELOCITY_STD_MPS] * 2) ** 2

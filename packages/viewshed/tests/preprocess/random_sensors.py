@@ -1,4 +1,4 @@
-"""Sensors that nobody makes: beam tables drawn at random, and clouds that no spinning sensor measures."""
+"""Random beam tables of nonexistent sensors, and clouds of sensors that do not spin."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +10,7 @@ from viewshed_lab.sim.scene import junction
 
 
 def random_sensor(rng: np.random.Generator) -> LidarModel:
-    """Return a spinning sensor of 8 to 128 rings, evenly or unevenly spaced, with a calibration of its own."""
+    """Return a spinning sensor of 8 to 128 rings, evenly or unevenly spaced, with its own calibration."""
     rings = int(rng.integers(8, 129))
     low_deg, high_deg = rng.uniform(-45.0, -12.0), rng.uniform(2.0, 35.0)
     spread = {
@@ -49,7 +49,7 @@ def random_scene(rng: np.random.Generator) -> Scene:
 
 
 def rosette(rng: np.random.Generator, count: int = 24_000) -> F32:
-    """Return points of a sensor whose pattern does not repeat: 70 degrees wide, directions dense in no ring."""
+    """Return points of a sensor whose pattern does not repeat: 70 degrees wide, directions that form no rings."""
     t = np.arange(count) * 1e-5
     radius = np.deg2rad(35.0) * np.abs(np.sin(2 * np.pi * 312.7 * t))
     angle = 2 * np.pi * 187.31 * t
@@ -64,7 +64,7 @@ def rosette(rng: np.random.Generator, count: int = 24_000) -> F32:
 
 
 def right_share(inferred: NDArray[np.int16], truth: NDArray[np.int16]) -> float:
-    """Return the share of returns in the right ring: each inferred ring stands for one true ring, and the other way."""
+    """Return the share of returns in the right ring; inferred and true rings are matched one to one."""
     together = np.zeros((int(inferred.max()) + 2, int(truth.max()) + 1), np.int64)
     np.add.at(together, (inferred + 1, truth), 1)
     stands_for, stood_by = together[1:].argmax(axis=1), together[1:].argmax(axis=0)

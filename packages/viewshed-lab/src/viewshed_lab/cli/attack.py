@@ -22,18 +22,18 @@ if TYPE_CHECKING:
 
 
 Out = Annotated[str, typer.Option(help="Folder or URI of the data set; for one sweep also a file (sweep.npz).")]
-Seed = Annotated[int, typer.Option(help="Seed of everything random.")]
+Seed = Annotated[int, typer.Option(help="Random seed.")]
 
 
 def attack(
     sources: options.Sources,
     attack: Annotated[
-        str, typer.Option(help="far_wall, relay, jamming, … (a wrong name lists all), or paper: the published mixture.")
+        str, typer.Option(help="far_wall, relay, jamming, … (an unknown name lists all), or paper: the published mix.")
     ],
     out: Out,
     budget: Annotated[
         str | None,
-        typer.Option(help="How many returns the attacker may change, or full; the attack's own limit if not given."),
+        typer.Option(help="Number of returns the attacker may change, or full; the attack's own limit if not given."),
     ] = None,
     mode: Annotated[
         str | None,
@@ -45,9 +45,7 @@ def attack(
     ] = None,
     victim: Annotated[
         str | None,
-        typer.Option(
-            help="For attacks that adapt: the method whose answers the attacker sees; shadow_map if not given."
-        ),
+        typer.Option(help="For adaptive attacks: the method that the attacker queries; shadow_map if not given."),
     ] = None,
     seed: Seed = 0,
     split: options.Split = None,
@@ -56,10 +54,10 @@ def attack(
     workers: options.Workers = None,
     engine: options.EngineName = "local",
 ) -> None:
-    """Attack every sweep of a data set; its truth stays as it was.
+    """Attack every sweep of a data set; its truth does not change.
 
-    What was touched is recorded. A sweep that cannot be attacked costs one line on standard error and is left out; the
-    exit code is then 2. Stopped runs go on where they were; the same bytes for any --workers.
+    The output records which returns changed. A sweep that cannot be attacked is skipped with one line on standard
+    error; the exit code is then 2. A stopped run resumes. The output is the same, byte for byte, for any --workers.
 
     Example: viewshed attack sweeps --attack far_wall --budget 150 --out attacked
     """
@@ -69,7 +67,7 @@ def attack(
     _attack_plan(*chosen, options.parse_grid(grid))  # rejects invalid options before SRC is read
     sweeps = _opened(sources, split, grid, sensor)
     if attack in EARLIER and all(part.last <= 1 for part in sweeps.parts):
-        raise ValueError(f"{attack} needs an earlier sweep, got one of each scene; give a recording or a data set")
+        raise ValueError(f"{attack} needs an earlier sweep, got one sweep per scene; give a recording or a data set")
     plan = _attack_plan(*chosen, sweeps.layout.grid)
     _run(sources, sweeps, plan, out, seed, engine, workers)
 
@@ -92,9 +90,9 @@ def _attack_plan(
 
 def corrupt(
     sources: options.Sources,
-    corruption: Annotated[str, typer.Option(help="rain, fog, snow, fewer_beams, … (a wrong name lists all).")],
+    corruption: Annotated[str, typer.Option(help="rain, fog, snow, fewer_beams, … (an unknown name lists all).")],
     out: Out,
-    severity: Annotated[int, typer.Option(help="From 1, mild, to 5.")] = 3,
+    severity: Annotated[int, typer.Option(help="From 1 (mild) to 5 (severe).")] = 3,
     seed: Seed = 0,
     split: options.Split = None,
     grid: options.GridName = "road",
@@ -102,9 +100,9 @@ def corrupt(
     workers: options.Workers = None,
     engine: options.EngineName = "local",
 ) -> None:
-    """Corrupt every sweep of a data set as weather and faults do.
+    """Corrupt every sweep of a data set: weather, sensor faults.
 
-    Its truth stays as it was. As with viewshed attack, stopped runs go on, and a sweep that cannot be read is left out.
+    Its truth does not change. A sweep that cannot be read is skipped. A stopped run resumes.
 
     Example: viewshed corrupt sweeps --corruption fog --severity 4 --out foggy
     """
@@ -136,7 +134,9 @@ def _budget(text: str | None, attack: str) -> int | None:
     if text != "full":
         raise ValueError(f"budget must be a whole number of returns or full, got {text!r}")
     if attack in FREE_FORM:
-        raise ValueError(f"budget must be a number for {attack}: free points have no wedge to fill, got full")
+        raise ValueError(
+            f"budget must be a number for {attack}: it places free points and has no wedge to fill, got full"
+        )
     return FULL_WEDGE
 
 
@@ -194,4 +194,4 @@ def _to_file(source: Path, sweeps: Sweeps, plan: TamperPlan, file: Path, seed: i
     file.parent.mkdir(parents=True, exist_ok=True)
     write_sweep(sweep, file)
     write_atomic(record, about.encode())
-    typer.echo(f"{file}: {len(sweep)} returns; what was touched is in {record.name}")
+    typer.echo(f"{file}: {len(sweep)} returns; {record.name} records which changed")

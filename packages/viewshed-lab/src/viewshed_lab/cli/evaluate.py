@@ -19,9 +19,9 @@ if TYPE_CHECKING:
 
 _ALL = "all"
 
-Methods = Annotated[str, typer.Option(help="Methods, separated by commas; 'all' for all but the networks.")]
+Methods = Annotated[str, typer.Option(help="Methods, separated by commas; 'all' for all except networks.")]
 
-Out = Annotated[Path | None, typer.Option(help="Write the tables to this Markdown file and not to the screen.")]
+Out = Annotated[Path | None, typer.Option(help="Write the tables to this Markdown file instead of the screen.")]
 
 evaluate_app = typer.Typer(help="Measure estimators against exact truth, or by other sweeps.")
 
@@ -40,13 +40,15 @@ def truth(
     methods: Methods = _ALL,
     weights: Weights = None,
     target: TargetName = "car",
-    limit: Annotated[int, typer.Option(min=1, help="Most samples, spread evenly over each data set.")] = 200,
+    limit: Annotated[
+        int, typer.Option(min=1, help="Maximum number of samples, spread evenly over each data set.")
+    ] = 200,
     split: Annotated[str | None, typer.Option(help="Only this split: train, test, …")] = None,
     out: Out = None,
 ) -> None:
     """Measure precision, recall and areas against exact truth.
 
-    Other definitions of visible are compared with ours as well.
+    Also compares other definitions of visible with ours.
 
     Example: viewshed evaluate truth nuscenes-small --split test --out truth.md
     """
@@ -94,19 +96,19 @@ def _makers(
 @evaluate_app.command()
 def crossview(
     index: Annotated[
-        Path, typer.Argument(metavar="INDEX", help="Index (JSON) of posed sweeps; each folder of it is one scene.")
+        Path, typer.Argument(metavar="INDEX", help="Index (JSON) of posed sweeps; each of its folders is one scene.")
     ],
     methods: Methods = _ALL,
     seed: Annotated[int, typer.Option(help="Seed of the bootstrap.")] = 0,
     out: Out = None,
     attacks: Annotated[
-        str, typer.Option(help="Attacks, separated by commas: the sweeps are tried with 150 moved points as well.")
+        str, typer.Option(help="Attacks, separated by commas: also measure under each, with 150 moved points.")
     ] = "",
-    floor: Annotated[bool, typer.Option(help="Measure the metric's own error in a simulation as well.")] = True,
+    floor: Annotated[bool, typer.Option(help="Also measure the metric's own error in simulation.")] = True,
 ) -> None:
-    """Measure wrong claims and denials by other sweeps of the scene.
+    """Measure false claims and denials by other sweeps of the scene.
 
-    Claimed though hidden, and called hidden though seen.
+    A false claim is a hidden cell called visible; a false denial is a seen cell called hidden.
 
     Example: viewshed evaluate crossview data/index.json --out crossview.md
     """
@@ -144,10 +146,12 @@ def boxes(
         Path, typer.Argument(metavar="FOLDER", help="nuScenes, KITTI or Argoverse 2, annotated.", show_default=False)
     ],
     methods: Methods = _JUDGED,
-    limit: Annotated[int, typer.Option(min=1, help="Most sweeps, spread evenly over the recording.")] = 200,
+    limit: Annotated[
+        int, typer.Option(min=1, help="Maximum number of sweeps, spread evenly over the recording.")
+    ] = 200,
     out: Out = None,
 ) -> None:
-    """Measure claims and ground against boxes that people drew.
+    """Measure claims and ground against annotated boxes.
 
     Example: viewshed evaluate boxes nuscenes --limit 100 --out boxes.md
     """
@@ -171,9 +175,9 @@ def beyond(
     index: Index = None,
     out: Out = None,
 ) -> None:
-    """Measure which share of the claims lies beyond every return.
+    """Measure the share of claimed area that lies beyond every return.
 
-    In a room only doors and windows make such a claim right.
+    Indoors, such a claim can be right only through a door or window.
 
     Example: viewshed evaluate beyond office.pcd room.pcap --out beyond.md
     """

@@ -23,29 +23,29 @@ def label(
     definition: Annotated[
         str,
         typer.Option(
-            help="Meaning of visible: probe (enough beams on the target), farthest or first_blocker (as others say)."
+            help="Definition of visible: probe (enough beams on the target), farthest or first_blocker (by others)."
         ),
     ] = "probe",
     target: options.TargetName = "car",
     neighbors: Annotated[
-        int, typer.Option(min=0, help="Sweeps before and after that help, where poses exist; 0 for none.")
+        int, typer.Option(min=0, help="Number of sweeps before and after to use, where poses exist; 0 for none.")
     ] = 20,
     grid: Annotated[
-        str | None, typer.Option(help="Cells around the sensor, as for estimate; road, or those of SRC, if not given.")
+        str | None, typer.Option(help="Grid around the sensor, as for estimate. If not given, that of SRC, or road.")
     ] = None,
     index: options.Index = None,
     kind: Annotated[
-        str, typer.Option(help="What SRC is: auto, archive (a data set of viewshed), nuscenes, kitti, carla, …")
+        str, typer.Option(help="Kind of SRC: auto, archive (a data set of viewshed), nuscenes, kitti, carla, …")
     ] = AUTO,
     sensor: options.SensorName = AUTO,
-    between: Annotated[bool, typer.Option("--between", help="Label sweeps between keyframes as well.")] = False,
+    between: Annotated[bool, typer.Option("--between", help="Also label sweeps between keyframes.")] = False,
     workers: options.Workers = None,
     engine: options.EngineName = "local",
 ) -> None:
     """Label benign sweeps with what the sensor could have seen.
 
-    Where poses exist, the sweeps before and after help. A sweep that cannot be read costs one line on standard error
-    and is left out; the exit code is then 2. Stopped runs go on where they were; the same bytes for any --workers.
+    Uses the sweeps before and after where poses exist. A sweep that cannot be read is skipped with one line on standard
+    error; the exit code is then 2. A stopped run resumes. The output is the same, byte for byte, for any --workers.
 
     Example: viewshed label /data/nuscenes --definition probe --out labels
     """
@@ -55,7 +55,7 @@ def label(
     from viewshed_lab.data.labeling import label as run
 
     if (source is None) == (index is None):
-        raise ValueError("name a recording SRC or an --index, one of them")
+        raise ValueError("name either a recording SRC or an --index")
     place = (str(source), kind) if index is None else (str(index), "index")
     origin = Origin(*place, sensor, between)
     rules = _rules(origin, grid, definition, target, neighbors)

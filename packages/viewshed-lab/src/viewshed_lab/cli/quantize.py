@@ -9,15 +9,17 @@ import typer
 
 def quantize(
     config: Annotated[
-        str, typer.Argument(metavar="CONFIG", help="What the network was trained with: a TOML file, or a shipped one.")
+        str, typer.Argument(metavar="CONFIG", help="Its training config: a TOML file, or a shipped one (road, indoor).")
     ],
     network: Annotated[str, typer.Argument(metavar="NETWORK", help="network.onnx of that training.")],
-    out: Annotated[str, typer.Option(help="File to be written.")],
-    frames: Annotated[int, typer.Option(help="Simulated sweeps that calibrate; as many others check.")] = 64,
+    out: Annotated[str, typer.Option(help="File to write.")],
+    frames: Annotated[
+        int, typer.Option(help="Number of simulated sweeps to calibrate on; as many others are for the check.")
+    ] = 64,
 ) -> None:
-    """Quantize a network to 8-bit integers, which is faster.
+    """Quantize a network to 8-bit integers, which run faster.
 
-    Nothing is written if that costs more than .002 F1, in one pass or, with dropout, in ten.
+    Nothing is written if F1 falls by more than 0.002 in one pass or, with dropout, in ten.
 
     Example: viewshed quantize road network.onnx --out network_int8.onnx
     """
@@ -27,6 +29,6 @@ def quantize(
     for cost in run(read_config(config), network, out, frames):
         deviations = f"deviation {cost.deviation_int8:.4f} and {cost.deviation:.4f}, " if cost.passes > 1 else ""
         typer.echo(
-            f"{out}: F1 {cost.f1_int8:.4f} in bytes, {cost.f1:.4f} in float32; {deviations}probabilities"
+            f"{out}: F1 {cost.f1_int8:.4f} in int8, {cost.f1:.4f} in float32; {deviations}probabilities"
             f" {cost.mean_difference:.4f} apart, {cost.flipped_share:.2%} of the cells flipped; passes: {cost.passes}"
         )

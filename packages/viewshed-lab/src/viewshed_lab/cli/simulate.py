@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from viewshed_lab.data.presets import Preset
 
 
-dataset_app = typer.Typer(help="Look at a data set.")
+dataset_app = typer.Typer(help="Inspect, verify or make a data set.")
 
 Place = Annotated[str, typer.Argument(metavar="PLACE", help="Folder or URI of the data set.")]
 
@@ -26,22 +26,24 @@ def simulate(
         str,
         typer.Argument(
             metavar="PRESET",
-            help="carla, nuscenes, ugv, each also as NAME-small; roads, rooms, drives; or release, which is published.",
+            help="carla, nuscenes, ugv, each also as NAME-small; roads, rooms, drives; or release (published).",
         ),
     ],
     out: Annotated[
         str | None, typer.Option(help="Folder or URI (s3://bucket/data); named as the preset if not given.")
     ] = None,
-    sweeps: Annotated[int | None, typer.Option(help="Number of sweeps; the preset's own if not given.")] = None,
+    sweeps: Annotated[int | None, typer.Option(help="Number of sweeps; the preset's if not given.")] = None,
     workers: options.Workers = None,
     engine: options.EngineName = "local",
-    seed: Annotated[int | None, typer.Option(help="Seed of everything random.")] = None,
+    seed: Annotated[int | None, typer.Option(help="Random seed; the preset's if not given.")] = None,
     grid: Annotated[
-        str | None, typer.Option(help="Cells of the truth: road, indoor, …, or 256x64: 256 a side, out to 64 m.")
+        str | None, typer.Option(help="Grid of the truth: road, indoor, …, or 256x64: 256 cells a side, out to 64 m.")
     ] = None,
     preview: Annotated[bool, typer.Option("--preview", help="Only draw some samples, to PRESET.png or --out.")] = False,
 ) -> None:
-    """Simulate a data set with exact truth. Stopped runs go on where they were; the same bytes for any --workers.
+    """Simulate a data set with exact truth.
+
+    A stopped run resumes. The output is the same, byte for byte, for any --workers.
 
     Example: viewshed simulate nuscenes-small --out sweeps
     """
@@ -74,17 +76,17 @@ def _publish(archive: Archive) -> None:
             f"{len(other)} shards differ from the published ones, which were made with"
             f" {made_with}: {', '.join(other[:3])}"
         )
-    typer.echo(f"all {len(archive.shards)} shards are byte for byte those published; data card: {release.CARD}")
+    typer.echo(f"all {len(archive.shards)} shards are identical to the published ones; data card: {release.CARD}")
 
 
 @dataset_app.callback()
 def dataset() -> None:
-    """Look at a data set."""
+    """Inspect, verify or make a data set."""
 
 
 @dataset_app.command()
 def info(place: Place) -> None:
-    """Say what a data set holds and how it was made.
+    """Show what a data set contains and how it was made.
 
     Example: viewshed dataset info sweeps
     """
@@ -119,7 +121,7 @@ def verify(place: Place) -> None:
             typer.echo(problem)
     if damaged:
         raise ValueError(f"{damaged} of {len(archive.shards)} shards of {archive.store.place} are damaged")
-    typer.echo(f"{len(archive.shards)} shards, all as they were written")
+    typer.echo(f"{len(archive.shards)} shards, all checksums match")
 
 
 @dataset_app.command()
@@ -131,12 +133,18 @@ def wild(
     out: Annotated[str | None, typer.Option(help="Folder or URI; SET-GRID if not given.")] = None,
     given: Annotated[
         str,
-        typer.Option("--known", help="What sweeps say of their sensor, in turn: table (its beams), rings, nothing."),
+        typer.Option(
+            "--known", help="What sweeps tell about their sensor, in turn: table (its beams), rings, nothing."
+        ),
     ] = "rings,nothing",
-    scenes: Annotated[int | None, typer.Option(min=1, help="Number of scenes, the first ones; else all.")] = None,
+    scenes: Annotated[
+        int | None, typer.Option(min=1, help="Only the first scenes, this number; all if not given.")
+    ] = None,
     workers: options.Workers = None,
 ) -> None:
-    """Make a set of unusual worlds, sensors and mountings. Stopped runs go on; the same bytes for any --workers.
+    """Make a set of unusual worlds, sensors and mountings.
+
+    A stopped run resumes. The output is the same, byte for byte, for any --workers.
 
     Example: viewshed dataset wild training road --out wild-road
     """

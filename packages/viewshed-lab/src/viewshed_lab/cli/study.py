@@ -17,14 +17,14 @@ if TYPE_CHECKING:
     from viewshed_lab.studies.plan import Plan
     from viewshed_lab.studies.runner import Progress
 
-study_app = typer.Typer(help="Run a study and write its page; a stopped study goes on.")
+study_app = typer.Typer(help="Run a study and write its page; a stopped study resumes.")
 
 
 Out = Annotated[
     Path | None, typer.Option(help="Folder of data, models, results and pages; named after the study if not given.")
 ]
 
-Run = Annotated[bool, typer.Option(help="Run what is not there yet; --no-run only writes the page.")]
+Run = Annotated[bool, typer.Option(help="Run what is not done yet; --no-run only writes the page.")]
 
 Pages = Annotated[Path | None, typer.Option("--page", help="Folder of the pages and figures; --out if not given.")]
 
@@ -39,7 +39,7 @@ _Files = Callable[[Any], dict[str, bytes]]
 
 @study_app.callback()
 def study() -> None:
-    """Run a study and write its page; a stopped study goes on."""
+    """Run a study and write its page; a stopped study resumes."""
 
 
 @study_app.command()
@@ -51,7 +51,9 @@ def robustness(
     run: Run = True,
     page: Annotated[Path | None, typer.Option(help="Markdown page to write; figures go beside it.")] = None,
 ) -> None:
-    """Estimators under attacks, corruptions and defenses. Stopped runs go on; the same figures for any --workers.
+    """Estimators under attacks, corruptions and defenses.
+
+    A stopped run resumes. The results are the same for any --workers.
 
     Example: viewshed study robustness --preset small --out study
     """
@@ -86,7 +88,7 @@ def paper(
 ) -> None:
     """The published study: train its models, score them, write pages.
 
-    Stopped runs go on: the same command again.
+    The same command resumes a stopped run.
 
     Example: viewshed study paper --preset tiny --out study
     """
@@ -119,9 +121,9 @@ def monitor(
         list[Path] | None, typer.Option(help="Public traces of spoofed drives, .tar.xz, see study spoofing.")
     ] = None,
 ) -> None:
-    """Alarms of streams: calibrate on some worlds, report on others.
+    """Stream alarms: calibrate on some worlds, report on others.
 
-    Writes the calibration (monitor.npz) and the page. A stopped run goes on with the next stream.
+    Writes the calibration (monitor.npz) and the page. A stopped run resumes with the next stream.
 
     Example: viewshed study monitor --out study
     """
@@ -160,13 +162,13 @@ def spoofing(
     monitor_file: MonitorFile = None,
     key: Annotated[
         str | None,
-        typer.Option(metavar="NUMBERS", help="Spoofed sweeps of the trace, separated by commas."),
+        typer.Option(metavar="NUMBERS", help="Numbers of the spoofed sweeps of the trace, separated by commas."),
     ] = None,
     out: Annotated[Path, typer.Option(help="Page to write.")] = Path("spoofing.md"),
 ) -> None:
-    """What the monitor calls in public traces of spoofed drives.
+    """What the monitor flags in public traces of spoofed drives.
 
-    Of the two public ones, real sweeps of one car, the key is inferred from the data; --key gives that of another.
+    For the two public traces, which sweeps are spoofed is inferred from the data; for another trace, give --key.
 
     Example: viewshed study spoofing blackout.tar.xz noise.tar.xz
     """
@@ -186,7 +188,7 @@ def spoofing(
         for is_spoofed, what in ((True, "spoofed sweeps"), (False, "honest sweeps"), (None, "sweeps without a --key"))
         if (group := [call for call in calls if call.is_spoofed is is_spoofed])
     ]
-    typer.echo(f"called: {', '.join(counts)}; look at {written}")
+    typer.echo(f"flagged: {', '.join(counts)}; look at {written}")
 
 
 @study_app.command()
@@ -200,7 +202,7 @@ def agents(
     engine: EngineName = "local",
     page: Pages = None,
 ) -> None:
-    """Many agents, some of whom lie: who is found, who is accused.
+    """Many agents, some of whom lie: liars detected, honest accused.
 
     They lie about objects or about what they see.
 
@@ -246,7 +248,7 @@ def tracks(
 ) -> None:
     """Tracks and fusion with each field of view, under attack.
 
-    On simulated drives whose detections are forged.
+    On simulated drives with forged detections.
 
     Example: viewshed study tracks --preset tiny --out study
     """
@@ -263,23 +265,26 @@ def tracks(
 @study_app.command()
 def wild(
     preset: Annotated[
-        str, typer.Option(help="tiny, hard (hard places, drawn), small (development set), networks (roads), sealed.")
+        str,
+        typer.Option(
+            help="tiny, hard (hard places, with pictures), small (development set), networks (roads), sealed."
+        ),
     ] = "small",
     out: Out = None,
     workers: Workers = None,
     run: Run = True,
     page: Pages = None,
     open_sealed: Annotated[
-        str, typer.Option(metavar="REASON", help="Open the sealed set for this reason, which is logged first.")
+        str, typer.Option(metavar="REASON", help="Open the sealed set for this reason; it is logged first.")
     ] = "",
     log: Annotated[Path, typer.Option(help="File that logs the openings of the sealed set.")] = Path(
         "docs/results/wild_openings.md"
     ),
-    network: Annotated[list[Path] | None, typer.Option(help="File of a network that is tried as well.")] = None,
+    network: Annotated[list[Path] | None, typer.Option(help="File of another network to evaluate.")] = None,
 ) -> None:
-    """Every estimator on worlds and sensors that it was not made for.
+    """Every estimator on worlds and sensors it was not designed for.
 
-    Against exact truth.
+    Compares with exact truth.
 
     Example: viewshed study wild --preset tiny --out study
     """
@@ -308,17 +313,17 @@ def guarantees(
     out: Out = None,
     run: Run = True,
     page: Pages = None,
-    ship: Annotated[Path | None, typer.Option(metavar="FILE", help="File of calibrations to write as well.")] = None,
+    ship: Annotated[Path | None, typer.Option(metavar="FILE", help="Also write the calibrations to this file.")] = None,
     survey: Annotated[
         Path | None, typer.Option(metavar="LOG", help="Folder of an Argoverse 2 log with its map, to judge the masks.")
     ] = None,
     real: Annotated[
-        Path | None, typer.Option(metavar="INDEX", help="JSON of real posed sweeps, to judge the masks by each other.")
+        Path | None, typer.Option(metavar="INDEX", help="Index (JSON) of real posed sweeps, which judge the masks.")
     ] = None,
 ) -> None:
-    """What cannot be over-claimed: certificates, attacks, masks.
+    """Guarantees against over-claiming: certificates, attacks, masks.
 
-    A part that was done is not done again: after a change of the default estimator, give a new --out.
+    Finished parts do not run again: after a change of the default estimator, give a new --out.
 
     Example: viewshed study guarantees --preset tiny --out study
     """
@@ -370,7 +375,7 @@ def _steps(only: str | None, known: tuple[str, ...]) -> tuple[str, ...]:
 
 def _require_all_done(failed: list[str]) -> None:
     if failed:
-        raise ValueError(f"{len(failed)} jobs are not done; what is finished is kept, the same command goes on")
+        raise ValueError(f"{len(failed)} jobs failed; finished jobs are kept, and the same command runs the rest")
 
 
 def _show(folder: Path, files: Mapping[str, bytes]) -> None:

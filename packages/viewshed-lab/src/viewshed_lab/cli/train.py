@@ -27,15 +27,15 @@ Device = Annotated[str, typer.Option(help="cpu or cuda.")]
 
 def train(
     config: Config,
-    out: Annotated[str, typer.Option(help="Folder of this training; one that was stopped goes on.")],
+    out: Annotated[str, typer.Option(help="Folder of this training; a stopped one resumes.")],
     device: Device = "cpu",
-    devices: Annotated[int, typer.Option(help="Processes or graphics cards of each machine.")] = 1,
-    nodes: Annotated[int, typer.Option(help="Machines; each runs this command.")] = 1,
+    devices: Annotated[int, typer.Option(help="Number of processes or GPUs per machine.")] = 1,
+    nodes: Annotated[int, typer.Option(help="Number of machines; run this command on each.")] = 1,
     cache: Annotated[str | None, typer.Option(help="Folder for simulated data; inside --out if not given.")] = None,
 ) -> None:
-    """Train a network. The same command goes on after a stop.
+    """Train a network. The same command resumes a stopped training.
 
-    It leaves network.onnx, history.csv and curves.png in --out.
+    Writes network.onnx, history.csv and curves.png to --out.
 
     Example: viewshed train road --out weights
     """
@@ -53,17 +53,17 @@ def train(
 
 def crossval(
     config: Config,
-    out: Annotated[str, typer.Option(help="Folder of this cross-validation; one that was stopped goes on.")],
+    out: Annotated[str, typer.Option(help="Folder of this cross-validation; a stopped one resumes.")],
     sampler: Annotated[
-        str, typer.Option(help="How settings are drawn: grid (all in turn), or optuna (by what did well).")
+        str, typer.Option(help="How settings are chosen: grid (all in turn), or optuna (from earlier scores).")
     ] = "grid",
-    trials: Annotated[int | None, typer.Option(help="How many settings are tried; all 36 if not given.")] = None,
-    folds: Annotated[int, typer.Option(help="Folds of whole scenes.")] = 5,
+    trials: Annotated[int | None, typer.Option(help="Number of settings to try; all 36 if not given.")] = None,
+    folds: Annotated[int, typer.Option(help="Number of folds; no scene is split.")] = 5,
     device: Device = "cpu",
 ) -> None:
     """Choose width, dropout and learning rate by cross-validation.
 
-    Folds are of whole scenes. It leaves crossval.md, crossval.png and chosen.toml in --out.
+    No scene is split between folds. Writes crossval.md, crossval.png and chosen.toml to --out.
 
     Example: viewshed crossval road --out folds
     """

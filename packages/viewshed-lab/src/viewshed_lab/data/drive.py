@@ -48,8 +48,8 @@ def drive_plan(
     """
     if not (seconds > 0 and 0 < hz <= 100) or agents < 1 or seconds * hz < 1:
         raise ValueError(
-            f"a drive needs seconds above 0, 0 to 100 sweeps a second, one at least, and an agent, got {seconds:g} s,"
-            f" {hz:g} Hz and {agents}"
+            "a drive must have seconds above 0, hz in (0, 100], one sweep or more and one agent or more, got"
+            f" {seconds:g} s, {hz:g} Hz and {agents} agents"
         )
     name = preset.worlds[0] if world is None else world
     one_of("world", name, WORLDS)

@@ -117,7 +117,7 @@ def objects_of_sweep(leveled: LeveledSweep, truth: DriveTruth) -> SweepObjects:
     """
     world_from_level = leveled.world_from_level
     if world_from_level is None:
-        raise ValueError("the sweep must have a pose, got none; take it as drive_sweeps gave it")
+        raise ValueError("the sweep must have a pose, got none; use a sweep from drive_sweeps")
     level_from_world = world_from_level.inverse()
     poses = [level_from_world @ item.world_from_box for item in truth.objects]
     boxes = np.array(

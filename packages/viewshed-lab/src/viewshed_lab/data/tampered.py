@@ -145,14 +145,12 @@ class AttackPlan:
         options = {name: value for name, value in options.items() if value is not None}
         if self.attack == PAPER:
             if self.budget is not None or options:
-                raise ValueError("attack paper draws its own points; leave budget, mode and placement out")
+                raise ValueError("attack paper samples its own points; omit budget, mode and placement")
             return PAPER_INDOOR_ATTACK if self.half_extent_m <= _ROOM_M else PAPER_ATTACK
         attack: Any = _FACTORIES[self.attack](self.budget, Knowledge(earlier, self.estimator, self.half_extent_m))
         for name, value in options.items():
             if name not in {field.name for field in fields(attack)}:
-                raise ValueError(
-                    f"attack {self.attack} must be left in its own {name}, got {value!r}; leave {name} out"
-                )
+                raise ValueError(f"attack {self.attack} must keep its own {name}, got {value!r}; omit {name}")
         return replace(attack, **options)  # type: ignore[no-any-return]
 
 

@@ -135,7 +135,9 @@ def wild_tables() -> WildTables:
             set(domain.mountings) - mountings.keys()
         )
         if unknown:
-            raise ValueError(f"{domain.set_name} {domain.name} names no such family: {', '.join(sorted(unknown))}")
+            raise ValueError(
+                f"{domain.set_name} {domain.name} names unknown sensors or mountings: {', '.join(sorted(unknown))}"
+            )
     check_apart(domains)
     return WildTables(sensors, mountings, domains)
 

@@ -88,7 +88,7 @@ class Mounting:
         """
         agent = world.agents[number]
         if agent.carrier is None:
-            raise ValueError(f"{agent.name} must have a carrier to mount its sensor on, got a mast; ask for one moving")
+            raise ValueError(f"{agent.name} must have a carrier to mount its sensor on, got a mast; use a moving agent")
         at = agent.mount.translation + np.array([self.forward_m, self.left_m, 0.0])
         moved = replace(agent, mount=Rigid(self.rotation, at))
         things = list(world.things)

@@ -145,7 +145,7 @@ def attack_of(case: Case, sample: StudySample) -> Attack:
         return at_severity(case.name, attribute, int(value) if value.isdecimal() else float(value), knowledge)
     if case.kind == "paper":
         return _paper_attack(case, PAPER_INDOOR_ATTACK if half_extent_m < ROOM_M else PAPER_ATTACK)
-    raise ValueError(f"kind must be one that attacks, got {case.kind!r}")
+    raise ValueError(f"kind must be an attack, got {case.kind!r}")
 
 
 def _paper_attack(case: Case, mixture: PaperAttack) -> PaperAttack:

@@ -73,7 +73,7 @@ class SurveyedGround:
         with open_input(places[0]) as source:
             place = json.loads(source.content(_MAX_BYTES))
             if not isinstance(place, dict) or [float(r) for r in place["R"]] != [1.0, 0.0, 0.0, 1.0]:
-                raise ValueError("R must be the identity; a turned raster is not read")
+                raise ValueError("R must be the identity; rotated rasters are not supported")
             shift_m, per_m = np.array(place["t"], np.float64), float(place["s"])
         with open_input(rasters[0]) as source:
             if source.size > _MAX_BYTES:

@@ -70,8 +70,8 @@ class Adversary:
         one_of("attack", self.attack, (*ATTACKS, *OBJECT_ATTACKS, *VIEW_LIES))
         if not (0.0 <= self.start_s < self.end_s and self.reset_s >= 0.1 and self.count >= 1 and self.seed >= 0):
             raise ValueError(
-                "an attack must start at 0 s or later, before it ends, reset after .1 s or more and forge an object or"
-                f" more, got {self.start_s:g} s to {self.end_s:g} s, reset_s {self.reset_s:g}, count {self.count}"
+                "an attack must have 0 <= start_s < end_s, reset_s >= 0.1, count >= 1 and seed >= 0, got"
+                f" {self.start_s:g} s, {self.end_s:g} s, {self.reset_s:g} s, {self.count} and {self.seed}"
             )
 
     def attacks(self, agent: str) -> bool:

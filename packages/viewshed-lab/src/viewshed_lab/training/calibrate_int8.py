@@ -82,7 +82,7 @@ def quantize(config: TrainConfig, network: str | Path, out: str | Path, frames: 
     for cost in costs:
         if cost.f1 - cost.f1_int8 > MAX_F1_LOSS:
             raise ValueError(
-                f"F1 in bytes must be within {MAX_F1_LOSS} of float32, got {cost.f1_int8:.4f} and {cost.f1:.4f}; "
+                f"F1 in int8 must be within {MAX_F1_LOSS} of float32, got {cost.f1_int8:.4f} and {cost.f1:.4f}; "
                 "calibrate with more frames, or keep float32"
             )
     write_atomic(out, int8_content)

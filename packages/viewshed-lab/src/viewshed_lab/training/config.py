@@ -153,7 +153,9 @@ def current_keys(table: Mapping[str, Any]) -> dict[str, Any]:
     """
     for key, value in _REMOVED_KEYS.items():
         if table.get(key, value) != value:
-            raise ValueError(f"{key} must be {value}, or left out, as a network is trained now, got {table[key]}")
+            raise ValueError(
+                f"{key} must be {value} or omitted, as other values are no longer supported, got {table[key]}"
+            )
     return {key: value for key, value in table.items() if key not in {*_REMOVED_KEYS, "doubt_frames"}}
 
 

@@ -145,8 +145,8 @@ def _split_scenes(archive: Archive, config: TrainConfig, fold: Fold | None) -> t
         return list(archive.folds(fold.count, config.seed))[fold.number]
     if len(scenes) < 2:
         raise ValueError(
-            f"{archive.store.place} has {len(scenes)} scene in split {config.train_split!r}; validation is split by "
-            "scene and needs two at least: give more data"
+            f"{archive.store.place} has {len(scenes)} scene(s) in split {config.train_split!r}; validation is split by "
+            "scene and needs at least two; give more data"
         )
     count = min(max(round(config.validation_share * len(scenes)), 1), len(scenes) - 1)
     order = np.random.default_rng([config.seed, _VALIDATION]).permutation(len(scenes))

@@ -80,7 +80,7 @@ def _load(path: Path) -> dict[str, Any]:
         checkpoint: Any = torch.load(io.BytesIO(content), map_location="cpu", weights_only=True)
         return dict(checkpoint)
     except Exception as error:  # torch.load raises many types
-        raise ValueError(f"{path} is damaged or no checkpoint; {_REPAIR}") from error
+        raise ValueError(f"{path} is damaged or not a checkpoint; {_REPAIR}") from error
 
 
 def _check_same(checkpoint: dict[str, Any], config: TrainConfig, path: Path) -> None:
@@ -88,7 +88,7 @@ def _check_same(checkpoint: dict[str, Any], config: TrainConfig, path: Path) -> 
     before, now = current_keys(checkpoint[KEY]["config"]), config.to_json()
     if before != now:
         other = differing_keys(before, now)
-        raise ValueError(f"{path} is of a training with other {other}; choose another --out, or delete it")
+        raise ValueError(f"{path} belongs to a training with different {other}; choose another --out, or delete it")
     version = checkpoint[KEY]["version"]
     if version != viewshed.__version__:
         raise ValueError(
@@ -274,7 +274,7 @@ def _run(trainer: L.Trainer, learner: Learner, loaders: Loaders, last: str | Non
         if "DataLoader worker" not in str(error):
             raise
         what = "it may have run out of memory: use fewer workers, or a smaller batch"
-        raise OSError(f"a worker ended early; {what}; the same command goes on from the last whole epoch") from error
+        raise OSError(f"a worker ended early; {what}; the same command resumes from the last complete epoch") from error
 
 
 def _finish(config: TrainConfig, out: Path) -> list[Epoch]:

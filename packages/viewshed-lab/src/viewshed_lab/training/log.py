@@ -42,8 +42,8 @@ def save(path: Path, content: bytes) -> None:
         write_atomic(path, content)
     except OSError as error:
         full = error.errno in _DISK_FULL
-        what = "the disk is full; free some space" if full else f"{error.strerror or error}; mend that"
-        named = type(error)(f"{path}: {what} and start the same command again, it goes on from the last whole epoch")
+        what = "the disk is full; free some space" if full else f"{error.strerror or error}; fix that"
+        named = type(error)(f"{path}: {what} and run the same command again; it resumes from the last complete epoch")
         named.errno = error.errno
         raise named from error
 
@@ -61,7 +61,7 @@ def build_files(
     with contextlib.closing(LocalEngine(workers).run(work, jobs)) as run:
         for done in run:
             if done.result is None:
-                raise OSError(f"{done.error}; what is finished is kept, the same command goes on from here")
+                raise OSError(f"{done.error}; finished work is kept; the same command resumes")
             if on_progress is not None:
                 on_progress(done.result)
 

@@ -259,7 +259,7 @@ def quantize_network(
     card = inspect_network(content, name)
     model = onnx.load_from_string(content)
     if card.precision == INT8:
-        raise ValueError(f"{name} must be a network in float32, got one in bytes; give the file that it was made of")
+        raise ValueError(f"{name} must be a float32 network, got an int8 one; give the file that it was quantized from")
     card = replace(card, trained={**card.trained, **(training_facts or {}), "precision": INT8}, clip=clip or card.clip)
     graph, maps = to_channels_last(model, card), list(frames)
     if not maps:

@@ -178,7 +178,7 @@ def check_archives(config: TrainConfig, archives: Sequence[Archive]) -> None:
         if config.truth == "paper_label":
             if archive.manifest.recipe.get("command") in ("attack", "corrupt"):
                 raise ValueError(
-                    f"{place} holds tampered sweeps, and paper_label is of clean ones; train on its source"
+                    f"{place} holds tampered sweeps, but paper_label needs clean ones; train on its source"
                 )
         elif layout.grid != config.grid:
             raise ValueError(

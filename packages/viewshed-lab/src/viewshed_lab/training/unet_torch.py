@@ -134,7 +134,7 @@ def _content(path: Path) -> dict[str, Any]:
         content = torch.load(io.BytesIO(data), map_location="cpu", weights_only=True)
     except Exception as error:  # torch.load raises many types
         raise ValueError(
-            f"{path} must be a checkpoint of weights, got a damaged or another file; copy it again, or train again"
+            f"{path} must be a checkpoint of weights, got a damaged file or another kind; copy it again, or train again"
         ) from error
     if not (isinstance(content, dict) and {"card", "state"} <= set(content) and isinstance(content["card"], str)):
         raise ValueError(

@@ -129,7 +129,7 @@ def test_a_cut_shard_is_named_and_the_rest_is_read(archive: Archive, tmp_path: P
 
 @pytest.mark.parametrize(("before", "after", "message"), [
     ('"schema_version": 1', '"schema_version": 2', "schema_version must be 1, got 2; read it with the version"),
-    ('"complete": true', '"complete": false', "is not finished; run the command"),
+    ('"complete": true', '"complete": false', "is not finished; run again the command"),
     ('"kind": "viewshed archive"', '"kind": "x"', "manifest.json is damaged"),
     ('"cells": 33', '"cells": 90000', "manifest.json is damaged: cells must lie"),
     ("{", "", "manifest.json is damaged"),

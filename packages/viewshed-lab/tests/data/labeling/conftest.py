@@ -1,4 +1,4 @@
-"""The drive that the tests of labels look at."""
+"""The drive that the tests of labeling use."""
 
 import pytest
 from tests.data.labeling.scene import Shot, shot_at

@@ -1,4 +1,4 @@
-"""A drive past things over uneven ground, simulated; nothing in it is symmetric."""
+"""A simulated, asymmetric drive past objects over uneven ground."""
 
 from dataclasses import dataclass
 
@@ -34,7 +34,7 @@ MODEL = LidarModel("test", np.deg2rad(np.linspace(-24, 6, 40)), 720, np.deg2rad(
 
 @dataclass(frozen=True, eq=False)
 class Shot:
-    """One revolution: what the sensor met, what it stored, and what it could have seen."""
+    """One revolution: exact scan, measured sweep, and the truth of what the sensor could have seen."""
 
     scan: ExactScan
     sweep: Sweep
@@ -43,7 +43,7 @@ class Shot:
 
 
 def pose_at(t_s: float) -> Rigid:
-    """A slow left turn, the sensor upright over the ground."""
+    """Return the pose at a time: a slow left turn, the sensor upright over the ground."""
     yaw = YAW + YAW_RATE * t_s
     x = (np.sin(yaw) - np.sin(YAW)) * SPEED_MPS / YAW_RATE
     y = -(np.cos(yaw) - np.cos(YAW)) * SPEED_MPS / YAW_RATE

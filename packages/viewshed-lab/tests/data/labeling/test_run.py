@@ -120,5 +120,5 @@ def test_real_drives_are_labeled(real_data: Path, tmp_path: Path) -> None:
     (tmp_path / "index.json").write_text('[{"file": "a.bin", "sensor": "x", "stats": {"points": 1}}]', encoding="utf-8")
     assert Origin(str(tmp_path / "in" / "index.json"), "index").open().scenes() == ("a.bin",)
     (tmp_path / "index.json").write_text("[]", encoding="utf-8")
-    with pytest.raises(ValueError, match="must name at least one sweep, got none"):
+    with pytest.raises(ValueError, match="must list at least one sweep, got none"):
         Origin(str(tmp_path / "index.json"), "index").open()

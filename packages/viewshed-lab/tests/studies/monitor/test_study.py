@@ -140,5 +140,5 @@ def test_a_trace_is_read_in_the_order_of_its_numbers_and_a_blinded_sweep_called(
     empty = tmp_path / "none.tar.xz"
     with tarfile.open(empty, "w:xz"):
         pass
-    with pytest.raises(ValueError, match="must hold PCD files of a sweep each, got none"):
+    with pytest.raises(ValueError, match="must hold one PCD file per sweep, got none"):
         call_trace(empty, StreamMonitor())

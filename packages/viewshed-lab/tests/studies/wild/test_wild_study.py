@@ -185,7 +185,7 @@ def test_a_network_of_ones_own_stands_in_the_tables_by_its_files_name(tmp_path: 
     store = ResultStore.open(tmp_path / "study", plan)
     assert list(run_study(store, LocalEngine(1))) == []
     assert "| mine |" in files_of(store)["wild.md"].decode()
-    with pytest.raises(ValueError, match="networks must have file names of their own"):
+    with pytest.raises(ValueError, match="networks must have distinct file names"):
         replace(plan, networks=(str(file), "elsewhere/mine.onnx"))
 
 
@@ -205,5 +205,5 @@ def test_the_sealed_set_is_run_with_a_logged_reason_only(tmp_path: Path) -> None
     assert log.read_text(encoding="utf-8").count("# Openings") == 1
     with pytest.raises(ValueError, match="must lie in a checkout"):
         SetOpening("a", ()).log(tmp_path / "none" / "log.md")
-    with pytest.raises(ValueError, match="one line of words"):
+    with pytest.raises(ValueError, match="one line of text"):
         SetOpening(" ", ())

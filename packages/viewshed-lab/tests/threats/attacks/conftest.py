@@ -1,4 +1,4 @@
-"""Sweeps to attack: simulated scenes, and one drawn by hand on flat ground."""
+"""Sweeps to attack: simulated scenes, and one computed by hand on flat ground."""
 
 from collections.abc import Callable
 
@@ -15,7 +15,7 @@ FlatScene = Callable[..., Sweep]
 
 
 def flat(wall_x_m: float = np.inf, pose: Rigid | None = None, wall_y_m: tuple[float, float] = (-4.0, 6.0)) -> Sweep:
-    """Flat ground 1.8 m below the sensor and, across y = -4 to 6 m, a wall of 2.5 m at ``wall_x_m``."""
+    """Return a sweep of flat ground 1.8 m below the sensor and a 2.5 m wall at ``wall_x_m``, y from -4 to 6 m."""
     azimuth = -np.pi + (np.repeat(np.arange(720), 28) + 0.5) * MODEL.azimuth_step
     ring = np.tile(np.arange(28), 720)
     slope = np.tan(MODEL.elevation)[ring]
@@ -37,7 +37,7 @@ def flat(wall_x_m: float = np.inf, pose: Rigid | None = None, wall_y_m: tuple[fl
 
 @pytest.fixture(scope="session")
 def flat_scene() -> FlatScene:
-    """Make a sweep of flat ground, with or without a wall ahead."""
+    """Return the function that makes a sweep of flat ground, with or without a wall ahead."""
     return flat
 
 

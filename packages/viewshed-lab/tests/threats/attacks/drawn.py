@@ -1,4 +1,4 @@
-"""Attacks with parameters drawn at random, and what one application of them breaks."""
+"""Attacks with random parameters, and the rules that one application of them violates."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ BUDGETS = (None, 0, 1, 7, 50, 150, 1000, FULL_WEDGE)
 MOVE_RETURNS = {
     "frustum", "frustum_before", "far_wall", "far_wall_aimed", "far_wall_clean", "removal", "removal_aimed", "relay",
 }  # fmt: skip
-"""Attacks that need to know no beams: they move returns that are there."""
+"""Attacks that do not need the beam table: they move existing returns."""
 RANGES: dict[str, tuple[float, float]] = {
     "sector_deg": (0.1, 150.0), "azimuth": (-7.0, 7.0), "heading": (-4.0, 4.0), "far_m": (5.0, 150.0),
     "near_m": (2.0, 60.0), "noise_rate": (0.0, 1.0), "noise_m": (1.0, 80.0), "share": (0.0, 1.0),
@@ -28,7 +28,7 @@ def generator(*seed: int) -> np.random.Generator:
 
 
 def drawn(name: str, scene: Scene, rng: np.random.Generator) -> tuple[Attack, int | None]:
-    """Return an attack called ``name`` with parameters drawn at random, and its budget."""
+    """Return an attack called ``name`` with random parameters, and its budget."""
     budget = BUDGETS[rng.integers(len(BUDGETS))]
     if name in FREE_FORM and budget == FULL_WEDGE:
         budget = 1500
@@ -45,7 +45,7 @@ def drawn(name: str, scene: Scene, rng: np.random.Generator) -> tuple[Attack, in
 
 
 def broken(name: str, scene: Scene, attack: Attack, budget: int | None, seed: int) -> tuple[list[str], Tampered]:
-    """Return the rules that one application of an attack broke, its repetition included, and the application."""
+    """Apply an attack twice; return the rules that it violates, and the tampered sweep."""
     before = scene.sweep.points.tobytes()
     tampered = attack.apply(scene.sweep, generator(seed))
     found = [] if before == scene.sweep.points.tobytes() else ["the clean sweep changed"]

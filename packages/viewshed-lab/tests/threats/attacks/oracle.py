@@ -1,7 +1,7 @@
-"""The beam model as an oracle: which rules an attacked sweep breaks, by the simulator's own beams.
+"""The beam model as an oracle: which rules an attacked sweep violates, by the simulator's own beams.
 
-Nothing of :mod:`viewshed_lab.threats.attacks` is used but the record: pixels come from the range image, beams from
-motion.
+It uses nothing of :mod:`viewshed_lab.threats.attacks` except the record of the attack: pixels come from the range
+image, beams from the motion.
 """
 
 from __future__ import annotations
@@ -38,14 +38,14 @@ SEEN_IN = (
 class Scene:
     """A simulated sweep and the pixels that it came from."""
 
-    name: str  # what it is
+    name: str  # world, agent and sensor
     image: StoredSweep  # the range image
-    sweep: Sweep  # made from it
+    sweep: Sweep  # of that range image
     earlier: Sweep  # the sweep of the same agent half a second before
-    half_extent_m: float  # of the grid that suits it
+    half_extent_m: float  # of the grid: indoor or road
 
     def again(self) -> Sweep:
-        """Return an equal sweep that shares no memory with this one, so that nothing is remembered of it."""
+        """Return an equal sweep that shares no memory with this one, so that nothing cached for this one applies."""
         return self.sweep.replace(
             **{name: None if (value := getattr(self.sweep, name)) is None else value.copy() for name in COLUMNS}
         )
@@ -74,7 +74,7 @@ def _scenes(number: int, world_name: str, sensor: str, columns: int, period_s: f
 
 
 def broken_by_any(clean: Sweep, tampered: Tampered, budget: int | None) -> list[str]:
-    """Return the rules that every attack must keep and this one broke; ``budget`` counts returns added."""
+    """Return the rules for every attack that this one violates; ``budget`` counts added returns."""
     found = []
     kept, left = ~tampered.added, ~tampered.removed
     for name in COLUMNS:
@@ -92,7 +92,7 @@ def broken_by_any(clean: Sweep, tampered: Tampered, budget: int | None) -> list[
 
 
 def broken_on_beams(scene: Scene, tampered: Tampered, budget: int | None) -> list[str]:
-    """Return the rules of the beam model that an attack broke; ``budget`` counts beams touched."""
+    """Return the rules of the beam model that an attack violates; ``budget`` counts changed beams."""
     found = broken_by_any(scene.sweep, tampered, None)
     if tampered.wedge is None:
         return [*found, "no wedge"] if tampered.added.any() or tampered.removed.any() else found
@@ -154,7 +154,7 @@ def beams_of(
 def columns_of(
     image: StoredSweep, points: NDArray[np.float64], ring: NDArray[np.intp], at_s: NDArray[np.float32]
 ) -> NDArray[np.intp]:
-    """Return the columns (A,): by time where the sensor turns, else by azimuth."""
+    """Return the columns (A,): by time if the sensor rotates, else by azimuth."""
     columns, period_s = image.model.azimuth_columns, image.motion.period_s
     if period_s > 0:
         by_time: NDArray[np.intp] = np.rint(at_s / period_s * columns - 0.5).astype(np.intp)

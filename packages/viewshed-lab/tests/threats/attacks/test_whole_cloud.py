@@ -34,7 +34,7 @@ def test_what_was_done_is_recorded_and_the_same_seed_does_it_again(name: str, si
 
 @pytest.mark.parametrize("name", sorted(WHOLE_CLOUD))
 def test_a_budget_is_refused_and_an_empty_sweep_gets_at_most_injected_points(name: str) -> None:
-    with pytest.raises(ValueError, match=f"attack {name} must be left without a budget, got 50"):
+    with pytest.raises(ValueError, match=f"attack {name} must have no budget, got 50"):
         WHOLE_CLOUD[name](50)
     assert name not in ATTACKS
     tampered = WHOLE_CLOUD[name]().apply(Sweep(np.zeros((0, 3), np.float32)), np.random.default_rng(0))

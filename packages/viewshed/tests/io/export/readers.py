@@ -1,4 +1,4 @@
-"""Exports read back, as other programs would: what tests compare with what was written."""
+"""Readers of exports, as other programs read them; tests compare the result with what was written."""
 
 from typing import Any
 
@@ -15,7 +15,7 @@ from viewshed.grid import BevGrid
 
 
 def fov_of_geojson(collection: dict[str, Any]) -> FovEstimate:
-    """The estimate in a collection: states exact, probability 1 where visible, else 0."""
+    """Return the estimate in a GeoJSON collection: exact states, probability 1 where visible, else 0."""
     where, frame = collection["viewshed:grid"], collection["viewshed:frame"]
     grid = BevGrid(where["cells"], where["half_extent_m"], tuple(where["offset_m"]))
     pose = None if frame["world_from_level"] is None else Rigid.from_matrix(frame["world_from_level"])
@@ -46,7 +46,7 @@ def mask_of(geometry: dict[str, Any], pose: Rigid | None, grid: BevGrid, crs: st
 
 
 def polygons_of_osi(message: dict[str, Any]) -> dict[str, MultiPolygon]:
-    """The polygons of a message by layer."""
+    """Return the polygons of an OSI message by layer."""
     parts: dict[str, list[Polygon]] = {"visible": [], "hidden": [], "unknown": []}
     for entry in message["polygons"]:
         outer, *inner = ([(at["x"], at["y"]) for at in ring] for ring in (entry["outer"], *entry["inner"]))

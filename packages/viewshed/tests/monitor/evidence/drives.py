@@ -1,4 +1,4 @@
-"""Short drives past boxes, whose appearances, jumps and poses are known by hand."""
+"""Short drives past boxes that appear, jump or move in a known way."""
 
 from collections.abc import Sequence
 
@@ -17,7 +17,7 @@ GRID = BevGrid(64, 64.0)
 HEIGHT_M = 1.8
 INTERVAL_NS = 100_000_000
 
-# A yard: walls at y = 14 and y = -11, and at both ends; two huts that are not alike.
+# A yard: walls at y = 14 and y = -11, and at both ends; two different huts.
 YARD = (
     Box(0.0, 14.5, 100.0, 1.0, 9.0),
     Box(0.0, -11.5, 100.0, 1.0, 9.0),
@@ -27,14 +27,14 @@ YARD = (
     Box(-18.0, -7.0, 2.0, 4.0, 4.0),
 )
 
-# A plate across the way, 4 m wide and 1.5 m high, 10 m ahead: y from -1 to 3.
+# A plate across the road, 4 m wide and 1.5 m high, 10 m ahead: y from -1 to 3.
 PLATE = Box(10.05, 1.0, 0.1, 4.0, 1.5)
 
 
 def look(
     boxes: Sequence[Box], number: int = 0, x_m: float = 0.0, rng: np.random.Generator | None = None, yaw: float = 0.0
 ) -> Sweep:
-    """Return what an HDL-32E sees from (x_m, 0), turned by ``yaw``, as the sweep of a number, with its pose."""
+    """Return the sweep of an HDL-32E at (x_m, 0), rotated by ``yaw``, with its pose and time."""
     c, s = np.cos(-yaw), np.sin(-yaw)
     seen = []
     for box in boxes:
@@ -51,7 +51,7 @@ def leveled(sweep: Sweep) -> LeveledSweep:
 
 
 def measure(name: str, *sweeps: Sweep) -> NDArray[np.float32]:
-    """Return what evidence says of the last of some sweeps (SECTORS,)."""
+    """Return the named evidence (SECTORS,) for the last of the sweeps."""
     *earlier, now = map(leveled, sweeps)
     result = EVIDENCE[name].measure(MonitoredSweep(now, tuple(earlier)))
     assert result.shape == (SECTORS,)

@@ -1,4 +1,4 @@
-"""Moments that the tests of recorders share: a simulated drive, and what a pipeline makes of any sweeps."""
+"""Moments for the tests of recorders: of a simulated drive, or of any sweeps, with the answers of a pipeline."""
 
 from collections.abc import Iterable
 from dataclasses import replace
@@ -18,14 +18,14 @@ from viewshed_lab.data.presets import preset_named
 
 
 def drive_moments() -> list[Moment]:
-    """Two vehicles and a mast, four sweeps each."""
+    """Return the moments of two vehicles and a mast, four sweeps each."""
     preset = replace(preset_named("nuscenes-small"), roadside=1)
     plan = drive_plan(preset, seconds=0.4, hz=10.0, agents=2, world="street", seed=3)
     return moments_of(drive_sweeps(plan))
 
 
 def doubted(moment: Moment) -> Moment:
-    """The moment as if a monitor had found something impossible ahead on the left."""
+    """Return the moment with a monitor report of something impossible ahead on the left."""
     suspect = np.zeros(SECTORS, np.bool_)
     suspect[40:42] = True  # 20° to 30°
     now = IntegrityReport("by hand", 2.0, 1.0, 0.01, suspect=suspect, reasons=("a wall hangs in the air", "and moves"))

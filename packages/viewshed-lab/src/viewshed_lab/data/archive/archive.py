@@ -61,7 +61,7 @@ class Archive:
         store = Storage.of(place)
         manifest = Manifest.read(store)
         if not manifest.complete:
-            raise ValueError(f"{store.place} is not finished; run the command that makes it again")
+            raise ValueError(f"{store.place} is not finished; run again the command that made it")
         return cls(store, manifest)
 
     def __len__(self) -> int:

@@ -104,7 +104,7 @@ def build_archive(
         with contextlib.closing(engine.run(partial(_build_shard, store), missing)) as run:
             for done in run:
                 if done.result is None:
-                    raise OSError(f"{done.error}; finished shards are kept, the same command goes on from here")
+                    raise OSError(f"{done.error}; finished shards are kept; the same command resumes")
                 note(missing[done.index].name, done.result)
                 if (start_s := time.monotonic()) > next_s:
                     _save(manifest, results, jobs, store)
@@ -155,7 +155,7 @@ def _check_same(begun: Manifest, planned: Manifest, place: str) -> None:
         before, now = theirs.get("config", {}), ours["config"]
         other = [key for key in now if before.get(key) != now[key]]
         differs = ", ".join(other) or "targets"
-        raise ValueError(f"{place} holds {ours[names[0]]} with other {differs}; choose another place")
+        raise ValueError(f"{place} holds {ours[names[0]]} with different {differs}; choose another place")
     if begun.code.get("version") != planned.code["version"]:
         raise ValueError(
             f"{place} was begun with viewshed {begun.code.get('version')}, this is {planned.code['version']}; "

@@ -239,12 +239,14 @@ def merge_rows(clean: Sweep, rows: Sweep, added: NDArray[np.bool_], removed: NDA
     new, old, source = np.flatnonzero(added), np.flatnonzero(~added), np.flatnonzero(~removed)
     if len(removed) != len(clean) or len(source) != len(old) or len(rows) != len(new):
         counts = f"{len(source)} of {len(removed)} and {len(new)} in {len(added)}"
-        raise ValueError(f"touched must leave rows of {len(clean)} and add {len(rows)}, got {counts}")
+        raise ValueError(
+            f"kept and added rows must match {len(clean)} clean and {len(rows)} added points, got {counts}"
+        )
     columns = {}
     for name in ("points", *_COLUMNS):
         before, after = getattr(clean, name), getattr(rows, name)
         if (before is None) != (after is None):
-            raise ValueError(f"what an attacker made must have {name} where the sweep has it")
+            raise ValueError(f"added points must have {name} exactly if the sweep has it")
         if after is not None:
             column = columns[name] = np.empty((len(added), *before.shape[1:]), before.dtype)
             column[old], column[new] = before[source], after

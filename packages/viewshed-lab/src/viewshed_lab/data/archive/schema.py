@@ -45,7 +45,7 @@ SCHEMA_VERSION = 1
 """Version of the columns, footer and manifest; readers reject any other."""
 
 MANIFEST = "manifest.json"
-REPAIR = "run the command that made the archive again, it writes anew only what is damaged or missing"
+REPAIR = "run again the command that made the archive; it rewrites only what is damaged or missing"
 _KIND = "viewshed archive"
 
 

@@ -59,7 +59,7 @@ def _encode(first: Sample, rest: Iterable[Sample]) -> tuple[bytes, int]:
                 "start another shard"
             )
         if (sample.tampered is None) != (first.tampered is None):
-            raise ValueError("all frames of a shard must say what was tampered with, or none")
+            raise ValueError("all frames of a shard must record their tampering, or none")
         row = row_of_sample(sample, layout, sensors)
         columns = [pa.array([value], kind.type) for value, kind in zip(row, schema, strict=False)]
         writer.write_batch(pa.RecordBatch.from_arrays(columns, schema=schema))

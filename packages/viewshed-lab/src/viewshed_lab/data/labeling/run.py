@@ -180,7 +180,9 @@ class _Index(RecordingSource):
                 scene = own if entry.seq is None else f"{entry.seq} ({entry.sensor})"
                 self._drives.setdefault(scene, []).append(entry)
         if not self._drives:
-            raise ValueError(f"{index} must name at least one sweep, got none: one has a number of points in its stats")
+            raise ValueError(
+                f"{index} must list at least one sweep, got none: the stats of a sweep give its number of points"
+            )
         self.sweeps: dict[str, list[SweepRef]] = {}
         for scene, entries in self._drives.items():
             entries.sort(key=lambda entry: (entry.t or 0.0, str(entry.file)))

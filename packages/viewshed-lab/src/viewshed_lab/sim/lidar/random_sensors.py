@@ -66,7 +66,9 @@ class SensorFamily:
         if not set(self.leaves_out) <= set(COLUMNS):
             raise ValueError(f"{self.name}: leaves_out must be among {', '.join(COLUMNS)}, got {self.leaves_out}")
         if self.pattern != "rings" and ("ring" not in self.leaves_out or self.order == "by_ring"):
-            raise ValueError(f"{self.name}: {self.pattern} must leave out ring, and no order by_ring: it has none")
+            raise ValueError(
+                f"{self.name}: {self.pattern} has no rings: leaves_out must list ring, and order must not be by_ring"
+            )
         for key in ("rings", "columns", "lowest_deg", "highest_deg", "unevenness", "field_deg", "max_range_m"):
             low, high = getattr(self, key)
             if not low <= high:
@@ -108,7 +110,7 @@ class DrawnSensor:
         """
         ring = sweep.ring
         if ring is None:
-            raise ValueError(f"sweep must have rings as {self.model.name} fires them, got none; deliver it once")
+            raise ValueError(f"sweep must have the rings of {self.model.name}, got none; call deliver only once")
         # Range errors move points along their beams, which are their directions from the sensor.
         range_m = np.maximum(np.linalg.norm(sweep.points, axis=1), 1e-3)
         factor = 1.0 + self.range_offset_m[ring] / range_m

@@ -107,7 +107,7 @@ def with_masts_of(world: World, height_m: float, pitch: float) -> World:
     mounts = [agent.mount for agent in world.agents if agent.carrier is None]
     kept = len(world.things) - len(mounts)
     if [thing.kind for thing in world.things[kept:]] != ["mast"] * len(mounts):
-        raise ValueError(f"the last things of a world must be its {len(mounts)} masts, got others")
+        raise ValueError(f"the last objects of a world must be its {len(mounts)} masts, got others")
     posts = [
         Mast(float(mount.translation[0]), float(mount.translation[1]), height_m, mount.yaw, pitch, 0.0)
         for mount in mounts

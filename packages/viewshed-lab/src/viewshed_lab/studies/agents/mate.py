@@ -242,9 +242,9 @@ class MateTrust:
             ValueError: time goes back, or ``covers`` of a report does not have one value per track.
         """
         if self._t_s is not None and t_s < self._t_s:
-            raise ValueError(f"time of a round must not go back, got {t_s} after {self._t_s}")
+            raise ValueError(f"t_s of a round must not decrease, got {t_s} after {self._t_s}")
         if any(report.covers.shape != (len(ids),) for report in reports):
-            raise ValueError(f"each view must say of {len(ids)} tracks whether it covers them")
+            raise ValueError(f"covers of each report must have one value for each of {len(ids)} tracks")
         # 1. Decay; new agents and tracks start with the prior.
         dt_s = 0.0 if self._t_s is None else t_s - self._t_s
         self._t_s = t_s

@@ -107,7 +107,9 @@ class Scene:
             leveled = level(sweep, GRID)
             estimate, detections = estimator.estimate(leveled), detector.detect(leveled)
             if estimate.world_from_level is None or estimate.basis is None:
-                raise ValueError(f"the sweeps of {plan.name} must have poses and points, got frame {frame} without")
+                raise ValueError(
+                    f"the sweeps of {plan.name} must have poses and points, got frame {frame} without them"
+                )
             prob[time, agent], state[time, agent] = np.rint(LEVELS * estimate.visible_prob), estimate.state
             poses[time, agent] = estimate.world_from_level.as_matrix()
             ground[time, agent] = leveled.ground.at(_NODES)

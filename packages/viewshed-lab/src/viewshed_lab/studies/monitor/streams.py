@@ -312,7 +312,7 @@ def _drift(sweep: Sweep, direction: NDArray[np.float64], k: int, _: np.random.Ge
     """Shift the pose by .1 m more in each sweep."""
     pose = sweep.world_from_sensor
     if pose is None:
-        raise ValueError("a pose drifts only where there is one")
+        raise ValueError("sweep must have a pose to drift, got none")
     shift = np.array([*direction, 0.0]) * 0.1 * (k + 1)
     return sweep.replace(world_from_sensor=Rigid(pose.rotation, pose.translation + shift))
 

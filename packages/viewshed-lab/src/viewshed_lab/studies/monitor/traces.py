@@ -54,7 +54,7 @@ def trace_sweeps(trace: Path) -> Iterator[tuple[int, Sweep]]:
         holders = sorted({file.parent for file in folder.rglob("*.pcd")})
         files = [file for holder in holders for file in files_in(holder) if file.suffix == ".pcd"]
         if not files:
-            raise ValueError(f"{trace} must hold PCD files of a sweep each, got none; give a trace's .tar.xz or folder")
+            raise ValueError(f"{trace} must hold one PCD file per sweep, got none; give a trace's .tar.xz or folder")
         are_numbers = all(file.stem.isdecimal() for file in files)
         for place, file in enumerate(files):
             yield int(file.stem) if are_numbers else place, read_sweep(file)

@@ -153,7 +153,9 @@ class PaperPlan(Plan):
         for domain, scenes, times, frames in held_out:
             high = scenes * preset_named(domain).agents * (times - 1)
             if max(frames, self.strict_frames) > high:
-                raise ValueError(f"pair_frames and strict_frames must be at most {high}, what {domain} has with a past")
+                raise ValueError(
+                    f"pair_frames and strict_frames must be at most {high}, the frames of {domain} with an earlier one"
+                )
         scenes = self.test_scenes[self.domains.index(self.monitor_domain)]
         if 3 * self.monitor_frames > scenes:
             raise ValueError(f"monitor_frames must be at most {scenes // 3}, a third of the held-out scenes")

@@ -32,12 +32,14 @@ class SetOpening:
 
     def __post_init__(self) -> None:
         if not self.reason.strip() or any(sign in self.reason for sign in "|\n"):
-            raise ValueError(f"the reason must be one line of words without |, got {self.reason!r}")
+            raise ValueError(f"the reason must be one line of text without |, got {self.reason!r}")
 
     def log(self, path: Path = LOG) -> None:
         """Append a line to the log and flush it to the disk; create the log if there is none."""
         if not path.parent.is_dir():
-            raise ValueError(f"{path} must lie in a checkout of viewshed, where it is committed; go there, or name it")
+            raise ValueError(
+                f"{path} must lie in a checkout of viewshed, where it is committed; run there, or give its path"
+            )
         now = facts()
         line = f"| {now['date']} | {now['version']} | {self.reason.strip()} | {', '.join(self.methods)} |\n"
         with path.open("a", encoding="utf-8") as file:

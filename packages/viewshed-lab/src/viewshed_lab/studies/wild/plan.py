@@ -39,7 +39,7 @@ class WildPlan(Plan):
             check_names(key, getattr(self, key), table, once=True)
         self.check_at_least(0, "scenes", "worst")
         if len(set(self.judged)) < len(self.judged):
-            raise ValueError(f"networks must have file names of their own, got {', '.join(self.judged)}")
+            raise ValueError(f"networks must have distinct file names, got {', '.join(self.judged)}")
 
     @property
     def judged(self) -> tuple[str, ...]:

@@ -153,7 +153,7 @@ _WHOLE: dict[str, Callable[[Knowledge], Attack]] = {
 
 def _make_whole(name: str, budget: int | None = None, knowledge: Knowledge = NOTHING) -> Attack:
     if budget is not None:
-        raise ValueError(f"attack {name} must be left without a budget, got {budget}: it works on the whole cloud")
+        raise ValueError(f"attack {name} must have no budget, got {budget}: it works on the whole cloud")
     return _WHOLE[name](knowledge)
 
 

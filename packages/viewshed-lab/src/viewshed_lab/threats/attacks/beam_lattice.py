@@ -398,7 +398,7 @@ def rays_in(sweep: Sweep, wedge: Wedge, *, empty: bool = False) -> Rays:
     if empty and lattice is None and len(sweep):
         raise ValueError(
             f"the beams of this sweep must be known, got {len(sweep)} points without rings; name the sensor, give "
-            "rings, or use an attack that is free of beams"
+            "rings, or use an attack that places points freely"
         )
     returned = _returned_rays(sweep, lattice, np.flatnonzero(within(sweep.points, wedge)))
     if not empty or lattice is None:

@@ -55,7 +55,7 @@ class PoseSpoof(Checked):
         tilt = rotation_from_quaternion([np.cos(half), *level_axis])
         pose, attitude = sweep.world_from_sensor, sweep.attitude
         if pose is None and (self.yaw_deg > 0 or self.shift_m > 0 or attitude is None):
-            raise ValueError("a sweep must have a pose for it to be spoofed, got none; give world_from_sensor")
+            raise ValueError("a sweep must have a pose to be spoofed, got none; give world_from_sensor")
         if pose is not None:
             turn = Rigid.from_yaw(side * np.deg2rad(self.yaw_deg)).rotation
             shift_m = self.shift_m * np.array([np.cos(heading), np.sin(heading), 0.0])
@@ -114,7 +114,7 @@ def depths_in(earlier: Sweep, lattice: BeamLattice | None, rays: Rays) -> NDArra
     if len(known.elevation) != len(lattice.elevation):
         raise ValueError(
             f"the earlier sweep must be of the same sensor with {len(lattice.elevation)} rings, got "
-            f"{len(known.elevation)}; play one of the same drive"
+            f"{len(known.elevation)}; replay a sweep of the same drive"
         )
     depth_m = np.full(known.rows.shape, NO_RETURN)
     known_pixel = (before.row >= 0) & (before.ring >= 0)
@@ -171,7 +171,9 @@ class CoherentPhantom(Checked):
             return self.azimuth, self.range_m, 0.0
         pose = sweep.world_from_sensor
         if pose is None:
-            raise ValueError("a sweep must have a pose for a ghost that stays in the world, got none; anchor='sensor'")
+            raise ValueError(
+                "a sweep must have a pose for a ghost that stays in the world, got none; use anchor='sensor'"
+            )
         ahead_m = self.range_m * np.array([np.cos(self.azimuth), np.sin(self.azimuth), 0.0])
         world_m = self.first @ ahead_m + self._displacement_m(sweep)
         x, y, _ = pose.inverse() @ world_m
