@@ -28,7 +28,7 @@ def test_verify_finds_a_flipped_byte(made: Path, tmp_path: Path) -> None:
     victim.write_bytes(raw)
     code, said, complaint = run("dataset", "verify", str(folder))
     assert code == 2
-    assert "train-0000-000.parquet is damaged: its checksum is not the manifest's; run the command" in said
+    assert "train-0000-000.parquet is damaged: its checksum is not the manifest's; run again the command" in said
     assert complaint == f"viewshed: 1 of 2 shards of {folder} are damaged\n"
     assert run(*SMALL, folder)[0] == 0
     assert run("dataset", "verify", str(folder))[0] == 0

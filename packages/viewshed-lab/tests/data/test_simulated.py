@@ -123,8 +123,8 @@ def test_what_is_damaged_is_made_anew_and_nothing_else(whole: Path, tmp_path: Pa
 @pytest.mark.parametrize(("change", "message"), [
     ({"seed": 5}, "holds seed 0, not 5"),
     ({"name": "other"}, "holds preset nuscenes-small, not other"),
-    ({"interval_s": 0.25}, "holds nuscenes-small with other interval_s"),
-    ({"frames": (79, 20)}, "holds nuscenes-small with other frames"),
+    ({"interval_s": 0.25}, "holds nuscenes-small with different interval_s"),
+    ({"frames": (79, 20)}, "holds nuscenes-small with different frames"),
 ])  # fmt: skip
 def test_a_place_that_holds_another_data_set_is_refused(whole: Path, change: dict[str, object], message: str) -> None:
     before = _files(whole)

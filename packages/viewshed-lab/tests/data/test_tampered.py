@@ -93,7 +93,7 @@ def test_damage_costs_the_damaged_sweeps_alone(clean: Archive, tmp_path: Path) -
 def test_a_place_that_holds_another_attack_is_refused(clean: Archive, tmp_path: Path) -> None:
     sweeps, store = sweeps_of_archive(clean, "test"), Storage.of(tmp_path)
     tamper(sweeps, AttackPlan("far_wall", 10), store, ONE)
-    with pytest.raises(ValueError, match="holds far_wall with other budget; choose another place"):
+    with pytest.raises(ValueError, match="holds far_wall with different budget; choose another place"):
         tamper(sweeps, AttackPlan("far_wall", 11), store, ONE)
     with pytest.raises(ValueError, match="holds name far_wall, not relay"):
         tamper(sweeps, AttackPlan("relay"), store, ONE)

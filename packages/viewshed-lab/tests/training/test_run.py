@@ -156,7 +156,9 @@ def test_what_a_worker_meets_is_one_line(config: TrainConfig, archive: Path, tmp
         content[1000:3000] = bytes(2000)
         shard.write_bytes(content)
     damaged = replace(config, data=(str(tmp_path / "damaged"),), workers=1)
-    with pytest.raises(ValueError, match=r"^\S+/train-\S+.parquet is damaged: [^\n]*run again the command that made the"):
+    with pytest.raises(
+        ValueError, match=r"^\S+/train-\S+.parquet is damaged: [^\n]*run again the command that made the"
+    ):
         train(damaged, tmp_path / "out")
     with pytest.raises(OSError, match="a worker ended early; it may have run out of memory: use fewer workers"):
         train(replace(config, workers=1), tmp_path / "killed", on_progress=_end_workers)

@@ -54,7 +54,7 @@ def test_reports_up_to_a_tenth_of_a_second_apart_are_of_one_round(apart_s: float
 def test_named_agents_end_the_first_round_and_others_are_left_out() -> None:
     rounds = Rounds(agents=("a", "b"))
     assert [len(each) for each in heard(rounds, [(0.0, 0), (0.0, 1), (0.5, 2)])] == [0, 1, 0]
-    assert rounds.notes == ["c: is none of a, b, its report is left out"]
+    assert rounds.notes == ["c: is not one of a, b, its report is left out"]
 
 
 def test_one_that_was_away_is_waited_for_again() -> None:

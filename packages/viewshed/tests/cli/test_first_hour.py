@@ -59,7 +59,7 @@ def test_a_command_for_one_sweep_says_which_of_a_folder_it_takes(command: str, d
         assert len(list((tmp_path / "new").iterdir())) == 1
     beyond = run(command, drive, "--number", 3, *out)
     assert beyond.returncode == 2
-    assert "number must be below 3, the sweeps of" in beyond.stderr
+    assert "number must be below 3, the number of sweeps in" in beyond.stderr
 
 
 def test_poses_place_the_sweeps_of_a_folder(drive: Path, tmp_path: Path) -> None:

@@ -77,7 +77,7 @@ def test_mountings_and_times_that_cannot_be_are_refused() -> None:
         union_of_views([])
     with pytest.raises(ValueError, match=r"several LiDARs must be Sweeps"):
         viewshed.estimate([_sweep(0.0), np.zeros((3, 3))])  # type: ignore[arg-type]
-    with pytest.raises(ValueError, match=r"of several LiDARs .* without history"):
+    with pytest.raises(ValueError, match=r"several LiDARs .* without history"):
         viewshed.estimate([_sweep(0.0), _sweep(9.0)], history=[])
 
 

@@ -24,7 +24,7 @@ def test_fewer_returns_than_before_count_once_they_last() -> None:
     state, sweeps = SensorState(), [whole] * PAST_SWEEPS + [half] * NOW_SWEEPS
     found = [state.check(sweep, measure_all(MonitoredSweep(sweep))) for sweep in sweeps]
     assert not any(found[: PAST_SWEEPS + NOW_SWEEPS // 2])
-    assert any("50% of the returns" in reason for reason in found[-1])
+    assert any("returns fell to 50%" in reason for reason in found[-1])
 
 
 def test_noise_of_another_sensor_is_not_held_against_the_table() -> None:

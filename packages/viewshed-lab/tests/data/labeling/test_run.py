@@ -74,7 +74,7 @@ def test_the_truth_of_an_archive_is_not_looked_at(
     for one, other in zip(Archive.open(labeled), out, strict=True):
         assert (one.truth.expected_returns["car"] == other.truth.expected_returns["car"]).all()
         assert (one.known == other.known).all()
-    with pytest.raises(ValueError, match="a holds drive with other sweeps; choose another place"):
+    with pytest.raises(ValueError, match="a holds drive with different sweeps; choose another place"):
         label(wrong, rules, Storage.of(labeled), LocalEngine(1))
     assert recipe_of(Origin("s3://id:word@bucket/drive?region=eu-central-1"), rules, [])["source"] == "drive"
 

@@ -66,11 +66,11 @@ class SensorState:
             )
         reasons = []
         if now[0] < min(FEWER * past[0], FEWEST * fewest):
-            reasons.append(f"the number of returns is {now[0] / past[0]:.0%} of that before")
+            reasons.append(f"the number of returns fell to {now[0] / past[0]:.0%}")
         if now[1] > max(NOISIER * noisiest, MIN_NOISE_M):
             reasons.append(f"ranges are {now[1] / max(past[1], 1e-6):.1f} times as noisy as before")
         if now[2] > past[2] + max(MORE_ISOLATED * (most_isolated - past[2]), MIN_ISOLATED):
-            reasons.append(f"{now[2]:.1%} of the returns are isolated, before it was {past[2]:.1%}")
+            reasons.append(f"{now[2]:.1%} of the returns are isolated, up from {past[2]:.1%}")
         return reasons
 
 
