@@ -127,6 +127,10 @@ BAD = {
     "ones.bin": (b"\xff" * 1600, "could be 4 or 5 float32 columns"),
     "picture.ply": (b"\x89PNG\r\n\x1a\n" + bytes(99), "named like ply but does not begin like"),
     "faces.ply": (b"ply\nformat ascii 1.0\nelement face 1\nend_header\n1\n", "PLY element vertex must come first"),
+    "unnamed.ply": (
+        b"ply\nformat ascii 1.0\nelement vertex 2\nproperty float a\nend_header\n1\n2\n",
+        "x, y, z not found among no known column",
+    ),
     "noz.ply": (PLY.replace(b"float z", b"float w"), "must have columns x, y and z, z not found"),
     "zip.npz": (b"PK\x03\x04" + bytes(60), "NPZ is damaged"),
     "text.npy": (files.npy(np.array([["a", "b", "c"]])), "must be floats .* got <U1"),

@@ -166,7 +166,8 @@ def columns_of_table(table: Mapping[str, NDArray[Any]], frame: Rigid | None, *, 
     """
     missing = [name for name in "xyz" if name not in table]
     if missing:
-        raise ValueError(f"must have columns x, y and z, {', '.join(missing)} not found among {', '.join(table)}")
+        known = ", ".join(table) or "no known column"
+        raise ValueError(f"must have columns x, y and z, {', '.join(missing)} not found among {known}")
     points, remaining = near_points([table[name] for name in "xyz"], IDENTITY if frame is None else frame)
     with np.errstate(over="ignore", invalid="ignore"):
         intensity = _first(table, _INTENSITY)
@@ -218,9 +219,9 @@ def number_columns(
     [2.0]
     """
     available = len(content) - start
-    columns = {name: np.empty(rows) for name in positions} if rows * max(1, 2 * width - 1) <= available else {}
-    if rows and not columns:
+    if rows * max(1, 2 * width - 1) > available:
         raise ValueError(f"text is cut off: {rows} rows of {width} numbers need more than {available} bytes")
+    columns = {name: np.empty(rows) for name in positions}
     done = 0
     for part in _text_blocks(content, start, width):
         lines = part[: rows - done]
