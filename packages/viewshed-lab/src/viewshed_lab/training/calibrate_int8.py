@@ -11,7 +11,6 @@ import numpy as np
 from viewshed._files import write_atomic
 from viewshed.estimators.unet import PASSES
 from viewshed.metrics import Scores
-from viewshed.networks.card import Bytes
 from viewshed.networks.mc_dropout import mean_and_deviation
 from viewshed.networks.runtime import OnnxRunner
 from viewshed.sweep import Sweep
@@ -72,10 +71,11 @@ def quantize(config: TrainConfig, network: str | Path, out: str | Path, frames: 
     float32_runner = OnnxRunner.of_content(content, str(network), 1)
     _check(config, float32_runner)
     samples = _samples(config, 2 * frames)
-    calibration_maps = [next(samples).maps for _ in range(frames)]
+    calibration = [next(samples) for _ in range(frames)]
     training_facts = {"calibration": f"{frames} sweeps of {', '.join(config.data)}, {config.attack_share:.0%} attacked"}
-    clip = _choose_clip(content, float32_runner, calibration_maps) if float32_runner.card.counts == "linear" else None
-    int8_content = quantize_network(content, str(network), calibration_maps, training_facts, clip)
+    clip = _choose_clip(content, float32_runner, calibration) if float32_runner.card.counts == "linear" else None
+    maps = [sample.maps for sample in calibration]
+    int8_content = quantize_network(content, str(network), maps, training_facts, clip)
     int8_runner = OnnxRunner.of_content(int8_content, str(out), 1)
     checks, counts = list(samples), (1, PASSES) if float32_runner.card.shape.dropout else (1,)
     costs = [_compare(float32_runner, int8_runner, checks, passes) for passes in counts]
@@ -89,7 +89,7 @@ def quantize(config: TrainConfig, network: str | Path, out: str | Path, frames: 
     return costs
 
 
-def _choose_clip(content: bytes, float32_runner: OnnxRunner, maps: Sequence[Bytes]) -> int:
+def _choose_clip(content: bytes, float32_runner: OnnxRunner, samples: Sequence[TrainingSample]) -> int:
     """Return the clip with the smallest mean difference between int8 and float32.
 
     Most cells have few returns, some beside the sensor hundreds. If these set the range of the first layers, one step
@@ -97,12 +97,11 @@ def _choose_clip(content: bytes, float32_runner: OnnxRunner, maps: Sequence[Byte
     """
     from viewshed_lab.training.quantize import quantize_network
 
-    maps, card, differences = maps[:_CLIP_FRAMES], float32_runner.card, dict[int, float]()
+    card, samples, differences = float32_runner.card, samples[:_CLIP_FRAMES], dict[int, float]()
+    maps = [sample.maps for sample in samples]
     for clip in (card.clip, *(clip for clip in _CLIPS if clip < card.clip)):
         int8_runner = OnnxRunner.of_content(quantize_network(content, card.name, maps, clip=clip), "int8", 1)
-        runners = (float32_runner, int8_runner)
-        probs = [[runner.run(runner.card.shown(sweep_maps)[None], None) for runner in runners] for sweep_maps in maps]
-        differences[clip] = float(np.mean([np.abs(float32 - int8).mean() for float32, int8 in probs]))
+        differences[clip] = _compare(float32_runner, int8_runner, samples, 1).mean_difference
     return min(differences, key=differences.__getitem__)
 
 
@@ -167,7 +166,7 @@ def _check(config: TrainConfig, runner: OnnxRunner) -> None:
 
 
 def _compare(
-    float32_runner: OnnxRunner, int8_runner: OnnxRunner, frames: list[TrainingSample], passes: int
+    float32_runner: OnnxRunner, int8_runner: OnnxRunner, frames: Sequence[TrainingSample], passes: int
 ) -> QuantizationCost:
     scores, differences, flipped, deviations = (Scores(), Scores()), [], [], []
     runners, card = (float32_runner, int8_runner), float32_runner.card

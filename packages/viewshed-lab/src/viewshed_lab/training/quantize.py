@@ -260,7 +260,11 @@ def quantize_network(
     model = onnx.load_from_string(content)
     if card.precision == INT8:
         raise ValueError(f"{name} must be a float32 network, got an int8 one; give the file that it was quantized from")
-    card = replace(card, trained={**card.trained, **(training_facts or {}), "precision": INT8}, clip=clip or card.clip)
+    card = replace(
+        card,
+        trained={**card.trained, **(training_facts or {}), "precision": INT8},
+        clip=card.clip if clip is None else clip,
+    )
     graph, maps = to_channels_last(model, card), list(frames)
     if not maps:
         raise ValueError("frames must be at least one, got none")
