@@ -1,6 +1,7 @@
 """Measure the node on this machine: ``ros/python.sh ros/measure/rates.py SWEEPS [--seconds S]`` prints JSON.
 
-SWEEPS is a folder written by ``python -m benchmarks.robot``: an NPZ of each sweep, and of the laser's ranges.
+SWEEPS is a folder written by ``python -m benchmarks.robot``: an NPZ of each sweep, and of the laser's ranges, and
+networks of several shapes.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ import json
 import os
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -62,7 +63,11 @@ def _measured(folder: Path, seconds: float) -> Iterator[dict[str, Any]]:
             yield from _closed(name, clouds[name], monitor, seconds, is_scan=False)
         yield from _closed("LaserScan", scan, monitor, seconds, is_scan=True)
     for method in NETWORKS:
-        yield from _closed(f"35k, {method}", clouds["35k"], "never", seconds, is_scan=False, method=method)
+        network = {"method": method, "weights": "road_int8"}
+        yield from _closed(f"35k, {method}", clouds["35k"], "never", seconds, is_scan=False, network=network)
+    for path in sorted(folder.glob("shape_*.onnx")):
+        network = {"method": NETWORKS[0], "weights": str(path), "stale_s": "10.0"}  # the largest take over a second
+        yield from _closed(path.stem, clouds["35k"], "never", seconds / 5, is_scan=False, network=network)
     yield _at_ten_hz("VLP-16", [Stream("lidar", clouds["VLP-16"])], seconds)
     yield _at_ten_hz(
         f"{AGENTS} agents", [Stream(f"agent{number}", clouds["VLP-16"]) for number in range(AGENTS)], seconds
@@ -79,12 +84,12 @@ def _sweep(path: Path) -> Sweep:
 
 
 def _closed(
-    name: str, message: bytes, monitor: str, seconds: float, *, is_scan: bool, method: str = ""
+    name: str, message: bytes, monitor: str, seconds: float, *, is_scan: bool, network: Mapping[str, str] | None = None
 ) -> Iterator[dict[str, Any]]:
-    """Yield latencies and rates by number of messages in flight, for the profile's method or an int8 network."""
+    """Yield latencies and rates by number of messages in flight, for the profile's method or a network."""
     parameters = {"profile": "infrastructure", "rate_hz": "0.0", "monitor": monitor}
-    if method:
-        parameters |= {"method": method, "weights": "road_int8", "history": "0"}
+    if network:
+        parameters |= {**network, "history": "0"}
     if is_scan:
         parameters |= {"lidar.type": "scan", "grid": "indoor"}
     stream = Stream("lidar", message)
@@ -147,7 +152,7 @@ def _topics(sweep: Sweep) -> Iterator[dict[str, Any]]:
 
 
 def _latencies(*streams: Stream) -> dict[str, float]:
-    taken_ms = 1e3 * np.concatenate([stream.latency_s for stream in streams])
+    taken_ms = 1e3 * np.concatenate([stream.latency_s or [np.nan] for stream in streams])  # all were dropped
     p50, p99 = np.percentile(taken_ms, [50, 99])
     return {"p50_ms": float(p50), "p99_ms": float(p99), "worst_ms": float(taken_ms.max())}
 
