@@ -17,10 +17,12 @@ import numpy as np
 import pytest
 from tests.cli.commands import run
 
-from viewshed import open_recording, read_sweep, write_sweep
+from viewshed import Sweep, open_recording, read_sweep, write_sweep
+from viewshed.cli._options import Reading
 from viewshed.cli._outputs import Failures, Named
 from viewshed.cli._profile import at_rate
 from viewshed.cli._record import Listener, PendingSweep, repeated
+from viewshed.cli._stream import placed_sweeps
 from viewshed.io.samples import junction_path
 from viewshed.pipeline import Answer, ReactionState
 from viewshed.recordings.write.bag_writers import Schema, open_bag_writer
@@ -135,6 +137,24 @@ def test_one_topic_of_several_is_taken_with_poses_of_a_file(tmp_path: Path) -> N
     assert [each.world_from_sensor and each.world_from_sensor.translation.tolist() for each in sweeps] == [
         [x, 2.0, 3.0] for x in range(3)
     ]
+
+
+def test_a_damaged_sweep_does_not_shift_poses_by_number(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    sweep, ros, source = read_sweep(junction_path()), RosMessages(ros1=False), tmp_path / "one.mcap"
+    schema = Schema(CLOUD, "ros2msg", "cdr", ros.definition(CLOUD).encode())
+    with open_bag_writer(source) as bag:
+        for number in range(3):
+            cloud = ros.cloud(sweep.select(np.arange(1000)), (1 + number) * 100_000_000, "lidar")
+            if number == 1:
+                object.__setattr__(cloud, "width", 2000)  # more than it has
+            bag.write("/points", schema, (1 + number) * 100_000_000, ros.encode(cloud))
+    poses = tmp_path / "poses.txt"
+    poses.write_text("".join(f"1 0 0 {x} 0 1 0 0 0 0 1 0\n" for x in range(3)))
+    reading, placed = Reading(poses=poses), list[Sweep]()
+    with pytest.raises(ValueError, match="2 sweeps read, 1 problems"):
+        placed += (each for _, sweeps in placed_sweeps(reading, [(source, None)]) for each in sweeps)
+    assert [each.world_from_sensor and each.world_from_sensor.translation[0] for each in placed] == [0.0, 2.0]
+    assert "cut off" in capsys.readouterr().err
 
 
 def test_a_profile_sets_what_no_option_beside_it_does(files: list[Path], tmp_path: Path) -> None:

@@ -129,13 +129,16 @@ class Reading:
         if self.ring not in RING_SOURCES:
             raise ValueError(f"ring must be one of {', '.join(RING_SOURCES)}, got {self.ring!r}")
 
-    def sweeps(self, path: Path, entry: IndexEntry | None = None) -> Iterator[Sweep]:
-        """Yield the sweeps in a file, or the sweep of an index entry, with the sensor that the options name."""
+    def numbered_sweeps(self, path: Path, entry: IndexEntry | None = None) -> Iterator[tuple[int, Sweep]]:
+        """Yield the sweeps in a file, or that of an index entry, as the options say, with their numbers in the file.
+
+        Damaged sweeps are skipped, but have numbers.
+        """
         from viewshed.sensors import lidar_model
 
         model = None if self.sensor in {AUTO, NO_SENSOR} else lidar_model(self.sensor)
         origin_m, is_moved = parse_numbers("origin", self.origin, 3), entry is None and self._is_moved(path)
-        for sweep in self._read(path, is_moved) if entry is None else self._indexed(entry):
+        for number, sweep in self._read(path, is_moved) if entry is None else enumerate(self._indexed(entry)):
             if origin_m is not None:
                 sweep = self._seen_from(origin_m, sweep, is_moved)  # noqa: PLW2901
             changes: dict[str, Any] = {} if self.ring == "file" else {"ring": None}
@@ -143,7 +146,7 @@ class Reading:
                 changes |= {"model": model, "infer_sensor": False}
             if self.vehicle_yaw_deg is not None:
                 changes["vehicle_yaw"] = math.radians(self.vehicle_yaw_deg)
-            yield sweep.replace(**changes) if changes else sweep
+            yield number, sweep.replace(**changes) if changes else sweep
 
     def _is_moved(self, path: Path) -> bool:
         """Return whether the reader itself subtracts a far origin, in float64 before rounding to float32."""
@@ -171,7 +174,7 @@ class Reading:
             )
         return sweep.seen_from(origin_m)
 
-    def _read(self, path: Path, is_moved: bool) -> Iterator[Sweep]:
+    def _read(self, path: Path, is_moved: bool) -> Iterator[tuple[int, Sweep]]:
         import numpy as np
 
         from viewshed.geometry import Rigid
@@ -185,31 +188,33 @@ class Reading:
         file_frame: str | Rigid | None = self.file_frame
         if is_moved:
             file_frame = Rigid(np.eye(3), -np.array(parse_numbers("origin", self.origin, 3)))
-        return read_sweeps(
+        sweeps = read_sweeps(
             path, format=self.format, file_frame=file_frame,
             sensor_height_m=self.height_m, attitude=parse_numbers("attitude", self.attitude, 4),
         )  # fmt: skip
+        return enumerate(sweeps)
 
-    def _recorded(self, path: Path) -> Iterator[Sweep]:
+    def _recorded(self, path: Path) -> Iterator[tuple[int, Sweep]]:
         """Yield the sweeps of a recording; print a line for each problem and raise at the end if there were any."""
         from viewshed.recordings.read.source import each_sweep
         from viewshed.recordings.recording import open_sweep_source
 
         if self.file_frame is not None:
             raise ValueError("--file-frame does not go with a recording, which knows its own axes")
-        count = problems = 0
+        count = problems = skipped = 0
 
         def on_damage(scene: str, line: str) -> None:
-            nonlocal problems
+            nonlocal problems, skipped
             problems += 1
+            skipped += scene != ""
             complain(line)
 
         source = open_sweep_source(path, topic=self.topic)
         for line in source.notes():
             note(line)
         for _, sweep in each_sweep(source, on_damage=on_damage):
+            yield count + skipped, self._overridden(sweep)
             count += 1
-            yield self._overridden(sweep)
         if problems or not count:
             raise ValueError(f"{path}: {count} sweeps read, {problems} problems")
 

@@ -59,7 +59,7 @@ def placed_sweeps(reading: Reading, jobs: list[Job]) -> Iterator[tuple[Path, Ite
             note(f"{reading.poses}: {line}")
 
     def placed(file: Path, entry: IndexEntry | None) -> Iterator[Sweep]:
-        for number, sweep in enumerate(reading.sweeps(file, entry)):
+        for number, sweep in reading.numbered_sweeps(file, entry):
             yield sweep if poses is None else poses.place_sweep(sweep, file, number, files)
 
     for job in jobs:
