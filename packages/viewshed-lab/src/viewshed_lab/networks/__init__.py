@@ -1,4 +1,4 @@
-"""Int8 networks of the published study, with checksums; viewshed loads them by name."""
+"""Networks of the published study, in int8 where that costs little, with checksums; viewshed loads them by name."""
 
 from pathlib import Path
 
