@@ -202,8 +202,10 @@ class OnnxRunner:
                 self.run(inputs if shared else inputs[part], None if masks is None else masks[part]) for part in parts
             ])  # fmt: skip
         if masks is None:
-            return self._deterministic({"inputs": inputs}, ["probability"])[0]
-        return self._with_masks({"inputs": inputs, "masks": masks}, ["probability"])[0]
+            [found] = self._deterministic({"inputs": inputs}, ["probability"])
+        else:
+            [found] = self._with_masks({"inputs": inputs, "masks": masks}, ["probability"])
+        return np.minimum(found, np.float32(1.0))  # the engine's sigmoid may say 1.0000001
 
     def _check(self, inputs: NDArray[Any], masks: F32 | None) -> None:
         card = self.card
