@@ -2,11 +2,12 @@
 
     python tools/results_index.py                  # writes the tables of docs/results/index.md anew
     python tools/results_index.py --rebind COMMIT  # after a change that only moves code since COMMIT
+    python tools/results_index.py --bind PAGE COMMIT  # of a page whose stored results were measured at COMMIT
 
 What stands above the line ``<!-- pages -->`` is written by hand. Groups, titles and the files and folders that a page
 depends on come from ``result_pages.toml`` of ``viewshed_lab``, the numbers from the pages. A page holds a hash of its
 files as they were when it was made: where they differ now, the page is older than the code. ``--rebind`` gives the hash
-of now to the pages that were not older at COMMIT.
+of now to the pages that were not older at COMMIT, ``--bind`` gives a page the hash at COMMIT.
 """
 
 from __future__ import annotations
@@ -73,6 +74,13 @@ def rebind(commit: str) -> list[str]:
     return bound
 
 
+def bind(name: str, commit: str) -> None:
+    """Bind a page to the files as they were at a commit."""
+    [page] = [page for page in result_pages().values() if name in page.files]
+    path, then = FOLDER / f"{name}.md", sources_hash(page.sources, commit)
+    path.write_text(_BOUND.sub(f"- sources: {then}", path.read_text(encoding="utf-8")), encoding="utf-8")
+
+
 def _git(*words: str) -> str:
     return subprocess.run(["git", *words], cwd=ROOT, check=True, capture_output=True, text=True).stdout
 
@@ -81,7 +89,10 @@ def main() -> int:
     """Write the overview; return the exit code."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--rebind", metavar="COMMIT", help="bind pages whose code only moved since this commit")
+    parser.add_argument("--bind", nargs=2, metavar=("PAGE", "COMMIT"), help="bind a page to the files at a commit")
     arguments = parser.parse_args()
+    if arguments.bind:
+        bind(*arguments.bind)
     if arguments.rebind:
         print(f"bound to the files of now: {', '.join(rebind(arguments.rebind)) or 'none'}")
     index = FOLDER / "index.md"
