@@ -129,11 +129,12 @@ class Reading:
         if self.ring not in RING_SOURCES:
             raise ValueError(f"ring must be one of {', '.join(RING_SOURCES)}, got {self.ring!r}")
 
-    def numbered_sweeps(self, path: Path, entry: IndexEntry | None = None) -> Iterator[tuple[int, Sweep]]:
-        """Yield the sweeps in a file, or that of an index entry, as the options say, with their numbers in the file.
+    def sweeps(self, path: Path) -> Iterator[Sweep]:
+        """Yield the sweeps in a file, with the sensor that the options name."""
+        return (sweep for _, sweep in self.numbered_sweeps(path))
 
-        Damaged sweeps are skipped, but have numbers.
-        """
+    def numbered_sweeps(self, path: Path, entry: IndexEntry | None = None) -> Iterator[tuple[int, Sweep]]:
+        """Yield the sweeps in a file, or that of an index entry, with their numbers; damaged ones have numbers too."""
         from viewshed.sensors import lidar_model
 
         model = None if self.sensor in {AUTO, NO_SENSOR} else lidar_model(self.sensor)

@@ -181,8 +181,8 @@ def _serve_page(reading: Reading, estimator: Estimator) -> None:
             file, page = Path(folder, name), Path(folder, "page.html")
             file.write_bytes(content)
             try:
-                every = (Named(sweep, name, file) for _, sweep in reading.numbered_sweeps(file))
-                frames = _frames(islice(every, _SWEEPS_SHOWN), estimator, None, None, _Raising(), NO_OBJECTS)
+                sweeps = islice((Named(sweep, name, file) for sweep in reading.sweeps(file)), _SWEEPS_SHOWN)
+                frames = _frames(sweeps, estimator, None, None, _Raising(), NO_OBJECTS)
                 write_page(page, packed(frames), name)
             except BAD_INPUTS as error:
                 line = one_line(error).replace(f"{folder}{os.sep}", "")
