@@ -13,12 +13,12 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks import clouds
+from benchmarks.drawn_network import PUBLISHED, draw_weights
 from benchmarks.processes import alone
 from benchmarks.timing import Timing, summary, times_of
 from viewshed.arrays import F32
 from viewshed.estimators.shadow_map import ShadowMap
 from viewshed.estimators.unet import UnetEstimator
-from viewshed.grid import BevGrid
 from viewshed.metrics import Scores
 from viewshed.networks.architecture import UNetShape
 from viewshed.networks.card import INT8, NetworkCard, Runner
@@ -33,7 +33,6 @@ from viewshed_lab.studies.samples import sample_of
 
 PAGE = Path(__file__).resolve().parents[3] / "docs" / "results" / "network_speed.md"
 SEED, PASSES = 11, 20
-PUBLISHED = UNetShape(8, 4)
 FEWER, MANY, SWEEPS = (5, 10), 100, 40
 """Smaller numbers of passes to try, number of passes of the reference, and number of simulated sweeps."""
 
@@ -111,17 +110,6 @@ def main() -> None:
     words = text(card, arguments.threads, alone(peak_flops, arguments.threads), arguments.weights)
     write_page(arguments.out, page("Speed of the network", about, words, table(HEAD, rows), *fewer))
     print(f"written to {arguments.out}")
-
-
-def draw_weights(path: Path, shape: UNetShape = PUBLISHED, cells: int = 256) -> None:
-    """Write a network of random weights on the grid of ``road``, in ``cells`` cells a side."""
-    import torch
-
-    from viewshed_lab.training.onnx_export import export_onnx
-    from viewshed_lab.training.unet_torch import UNet
-
-    torch.manual_seed(SEED)
-    export_onnx(path, NetworkCard("drawn", shape, BevGrid(cells)), UNet(shape).eval())
 
 
 def measured(tasks: list[tuple[str, str]], path: Path, threads: int) -> dict[tuple[str, str], Timing]:

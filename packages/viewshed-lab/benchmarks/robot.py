@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks import clouds
-from benchmarks.network import draw_weights
+from benchmarks.drawn_network import draw_weights
 from benchmarks.processes import VIEWSHED, alone
 from benchmarks.soak import memory_mb
 from viewshed.estimators import load_estimator
