@@ -39,7 +39,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_weights_are_found_by_name_grid_target_and_method(folder: Path) -> None:
-    assert shipped_names() == (*manifest(), *ADDED, "yard")
+    assert sorted(shipped_names()) == sorted((*manifest(), *ADDED, "yard"))
     assert default_name("mc_dropout", GRID, "car", folder) == "yard"
     assert load_runner("yard", 1).card == card()
     for method, grid, target in (
@@ -93,7 +93,8 @@ def test_everything_that_is_shipped_is_whole_and_fits_its_line(folder: Path) -> 
         assert found.trained, f"{name} does not say how it was trained"
         assert json.loads(found.to_json())["threshold"] > 0
         if folder == STUDY:
-            assert (found.name, found.precision, line.methods) == (name, INT8, ())
+            assert (found.name, line.methods) == (name, ())
+            assert found.precision in (INT8, "f32")  # in float32 where bytes cost too much
             continue
         # Every network in bytes is there in float32 too.
         assert (name.endswith("_int8")) != (found.precision == "f32")
