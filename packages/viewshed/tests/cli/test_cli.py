@@ -211,8 +211,7 @@ def test_interruption_is_130_without_a_trace_and_without_half_files(kitti_like: 
         assert "visible" in process.stdout.readline()
         process.send_signal(signal.SIGINT)
         _, err = process.communicate(timeout=300)
-    assert process.returncode == 130
-    assert err == ""
+    assert (process.returncode, err) == (130, "")
     assert {file.suffix for file in tmp_path.iterdir()} <= {".png", ".geojson", ".npz"}
 
 
