@@ -1,7 +1,9 @@
 """The pipeline: what becomes of each sweep, what is dropped, what an error costs, and that memory stays flat."""
 
+import gc
 import threading
 import time
+import weakref
 from collections.abc import Callable, Iterable
 from typing import Any, cast
 
@@ -323,3 +325,16 @@ def test_a_suspicious_track_is_a_reason_to_ask() -> None:
         True
     ] * sum(suspicious)
     assert answers[0].reaction.caution == Caution.KEEP
+
+
+def test_a_closed_pipeline_is_freed_at_once() -> None:
+    gc.disable()
+    try:
+        pipeline = Pipeline(shadow_map(), lambda _: None, monitor=StreamMonitor())
+        pipeline.put(at(1.0))
+        pipeline.close()
+        freed = weakref.ref(pipeline)
+        del pipeline
+        assert freed() is None
+    finally:
+        gc.enable()

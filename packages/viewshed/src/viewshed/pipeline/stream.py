@@ -322,6 +322,10 @@ class Pipeline:
         self._closed.set()
         self._to_publish.close()
         self._wait_for(self._handing_out)
+        # Stages refer to the pipeline: without this, a monitor's memory stays until Python collects cycles.
+        for stage in self._stages:
+            if not stage.abandoned:
+                stage.take, stage.do, stage.pass_on = (lambda: None), (lambda item: item), (lambda _: None)
         if self._ended is not None:
             raise self._ended
         if self._publish_failed is not None:
