@@ -18,6 +18,9 @@ from viewshed_lab.training.onnx_export import export_onnx
 ADDED = tuple(name for name in shipped_names() if name not in manifest())
 """What installed packages add, such as the laboratory."""
 
+IN_FLOAT32 = ("paper-mle-adversarial-carla", "paper-mcd-adversarial-carla")
+"""Networks of the published study that would lose more than .002 F1 in int8."""
+
 main = runpy.run_path(str(Path(__file__).resolve().parents[4] / "tools" / "ship_weights.py"))["main"]
 
 
@@ -39,7 +42,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_weights_are_found_by_name_grid_target_and_method(folder: Path) -> None:
-    assert sorted(shipped_names()) == sorted((*manifest(), *ADDED, "yard"))
+    assert shipped_names() == (*manifest(), "yard", *ADDED)
     assert default_name("mc_dropout", GRID, "car", folder) == "yard"
     assert load_runner("yard", 1).card == card()
     for method, grid, target in (
@@ -93,8 +96,7 @@ def test_everything_that_is_shipped_is_whole_and_fits_its_line(folder: Path) -> 
         assert found.trained, f"{name} does not say how it was trained"
         assert json.loads(found.to_json())["threshold"] > 0
         if folder == STUDY:
-            assert (found.name, line.methods) == (name, ())
-            assert found.precision in (INT8, "f32")  # in float32 where bytes cost too much
+            assert (found.name, found.precision, line.methods) == (name, "f32" if name in IN_FLOAT32 else INT8, ())
             continue
         # Every network in bytes is there in float32 too.
         assert (name.endswith("_int8")) != (found.precision == "f32")
