@@ -25,8 +25,8 @@ from benchmarks.soak import (
     Kind,
     Script,
     Soaked,
-    growth_faults,
     log_line,
+    memory_faults,
     memory_mb,
     period_s,
     plain,
@@ -39,7 +39,7 @@ from load import Load, Stream, message_of, running_node, stamped
 from viewshed.pipeline.latency import Latencies
 from viewshed.sweep import Sweep
 
-RESTARTED_SHARE = 3
+RESTARTED_SHARE = 7
 """Every k-th restart restarts the process; the others deactivate and activate the node."""
 
 
@@ -86,6 +86,7 @@ class Soak:
         self.soaked = Soaked(kinds={"all": Kind()})
         self._before = Kind()
         self._ended_with_mb: list[float] = []
+        self._memories: list[tuple[float, float]] = []  # of this process: seconds since its begin, MB
 
     def run(self) -> None:
         """Run the test for its duration."""
@@ -93,9 +94,11 @@ class Soak:
         while time.perf_counter() - begin_s < self._seconds:
             with running_node({"profile": "infrastructure", "rate_hz": "0.0", "diagnostics_hz": "10.0"}) as node:
                 self._load.wait_for_node()
+                self._memories, born_s = [], time.perf_counter()
                 for _ in range(RESTARTED_SHARE):
                     until_s = time.perf_counter() + period_s(self._seconds)
                     self._work(node, begin_s, min(until_s, begin_s + self._seconds))
+                    self._memories.append((time.perf_counter() - born_s, memory_mb(node.pid)))
                     self.soaked.restarts += 1
                     if node.poll() is not None or time.perf_counter() - begin_s >= self._seconds:
                         break
@@ -176,6 +179,7 @@ class Soak:
         self._count()
         kind = self.soaked.kinds["all"]
         self._ended_with_mb.append(memory_mb(node.pid))
+        self.soaked.faults += memory_faults(self._memories)
         self._before = Kind(kind.sent, kind.answered, kind.refused, kind.dropped, Counter(kind.reasons))
         self._stream.put_s.clear()
 
@@ -194,7 +198,6 @@ class Soak:
             for reason in kind.reasons
             if reason.startswith("refused: ") and not any(word in reason for word in words)
         ]
-        faults += growth_faults(self._ended_with_mb)
 
 
 if __name__ == "__main__":

@@ -138,8 +138,8 @@ _COLUMNS = """## How to read the log
 - **refused** sweeps are the malformed ones and those whose time repeats: nothing else may be.
 - **median** and **99 %**: latency since the line before, in milliseconds, from putting a sweep in to its answer,
   its time in the inbox included.
-- **MB**: resident memory of the process. The first lines after a restart of the node are lower: it is a new
-  process; of the node the memories at the end of each process are compared."""
+- **MB**: resident memory of the process. The node is a new process at every seventh restart; memory must not grow
+  within a process, measured before each restart."""
 
 
 @dataclass(slots=True)
@@ -291,14 +291,10 @@ def faults_of(soaked: Soaked) -> list[str]:
 
 
 def memory_faults(log: Sequence[Sequence[float]]) -> list[str]:
-    """Return a sentence if memory grew too much after the warm-up."""
-    return growth_faults([line[-1] for line in log if line[0] >= WARM_SHARE * log[-1][0]])
-
-
-def growth_faults(memories_mb: Sequence[float]) -> list[str]:
-    """Return a sentence if the largest memory is too far above the first."""
-    growth = max(memories_mb) / memories_mb[0] - 1.0
-    return [f"memory grew by {growth:.1%}, from {memories_mb[0]:.0f} MB on"] if growth > GROWTH else []
+    """Return a sentence if memory, the last number of each line, grew too much after the warm-up; the first is time."""
+    warm = [line[-1] for line in log if line[0] >= WARM_SHARE * log[-1][0]]
+    growth = max(warm) / warm[0] - 1.0
+    return [f"memory grew by {growth:.1%}, from {warm[0]:.0f} MB on"] if growth > GROWTH else []
 
 
 def memory_mb(process: int) -> float:

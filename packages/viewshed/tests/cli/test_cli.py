@@ -19,13 +19,14 @@ from tests.cli.commands import run
 
 import viewshed
 from viewshed import BevGrid, read_sweep, write_sweep
-from viewshed.cli._outputs import _remarks, output_names
-from viewshed.fov.estimate import Basis, HeightSource
+from viewshed.cli import main
+from viewshed.cli._outputs import Run, Summary, _remarks, output_names
+from viewshed.fov.estimate import Basis, FovEstimate, HeightSource
 from viewshed.geometry import Rigid
 from viewshed.io.export import read_npz
 from viewshed.io.messages.cpm import decode_cpm
 from viewshed.io.samples import junction_path
-from viewshed.preprocess.leveling import level
+from viewshed.preprocess.leveling import LeveledSweep, level
 
 
 @contextlib.contextmanager
@@ -213,6 +214,38 @@ def test_interruption_is_130_without_a_trace_and_without_half_files(kitti_like: 
         _, err = process.communicate(timeout=300)
     assert (process.returncode, err) == (130, "")
     assert {file.suffix for file in tmp_path.iterdir()} <= {".png", ".geojson", ".npz"}
+
+
+class _InterruptedLookup(type):
+    """As that of an Enum, its attributes are looked up in Python, where a signal is heeded."""
+
+    def __getattr__(cls, name: str) -> None:
+        signal.raise_signal(signal.SIGINT)
+        raise AttributeError(name)
+
+
+@pytest.mark.parametrize("error", [None, ValueError("half"), SystemError("half")], ids=["dropped", "value", "system"])
+def test_an_interrupt_that_compiled_code_drops_or_changes_ends_the_command(
+    error: Exception | None, kitti_like: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    written, whole = [], Run.write
+
+    def write(self: Run, sweep: LeveledSweep, name: str, estimate: FovEstimate, elapsed_ms: float) -> Summary:
+        written.append(name)
+        with contextlib.suppress(KeyboardInterrupt):  # other versions of NumPy may not drop it
+            np.zeros(3) == _InterruptedLookup("Kind", (), {})()  # noqa: B015
+        if error is not None:
+            raise error
+        return whole(self, sweep, name, estimate, elapsed_ms)
+
+    monkeypatch.setattr(Run, "write", write)
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        with pytest.raises(SystemExit) as ended:
+            main(["estimate", *[str(kitti_like)] * 3, "--out", str(tmp_path)])
+    finally:
+        assert signal.signal(signal.SIGINT, before) is signal.default_int_handler
+    assert (ended.value.code, len(written)) == (130, 1)
 
 
 @pytest.mark.slow

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from viewshed.cli._outputs import progress_bar
-from viewshed.cli._terminal import complain
+from viewshed.cli._terminal import complain, raise_if_interrupted
 
 if TYPE_CHECKING:
     from viewshed_lab.data import Archive
@@ -25,6 +25,7 @@ def build_with_bar(
     problems: list[str] = []
 
     def report(result: ShardResult) -> None:
+        raise_if_interrupted()
         problems.extend(result.problems)
         for problem in result.problems:
             complain(problem)

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from viewshed.cli._options import EngineName, MonitorFile, Workers
+from viewshed.cli._terminal import raise_if_interrupted
 from viewshed_lab.cli.evaluate import crossview
 
 if TYPE_CHECKING:
@@ -403,6 +404,7 @@ def _with_bars(run: Callable[[Progress], Iterator[str]]) -> list[str]:
     bars = progress_bar(TimeElapsedColumn(), TimeRemainingColumn())
 
     def on_progress(step: str, done: int, total: int) -> None:
+        raise_if_interrupted()
         if not bars.console.is_terminal:
             # Without a terminal, print a line for every fiftieth of the jobs.
             if (now := done * 50 // total) > fiftieths.get(step, 0):

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from viewshed.cli._outputs import progress_bar
+from viewshed.cli._terminal import raise_if_interrupted
 
 if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
@@ -101,6 +102,7 @@ class _Bar:
         self.show(self.name, step)
 
     def show(self, name: str, step: Step) -> None:
+        raise_if_interrupted()
         bar = self._started()
         text = f"{name} {step.stage}" if step.epoch == 0 else f"{name} epoch {step.epoch}/{step.epochs} {step.stage}"
         if step.stage not in self.tasks:

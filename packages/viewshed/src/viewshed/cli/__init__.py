@@ -14,7 +14,7 @@ from viewshed import __version__
 from viewshed._extras import LABORATORY, load, needed_for, plugin, plugins
 from viewshed.cli._options import SectionedCommand, with_groups
 from viewshed.cli._status import status_line
-from viewshed.cli._terminal import BAD_INPUTS, complain, note, one_line
+from viewshed.cli._terminal import BAD_INPUTS, complain, heeding_interrupts, note, one_line, was_interrupted
 from viewshed.cli.compare import compare
 from viewshed.cli.demo import demo
 from viewshed.cli.estimate import estimate
@@ -107,27 +107,22 @@ def main(arguments: list[str] | None = None) -> None:
         arguments: the command and its options; None for those of the process.
     """
     words = sys.argv[1:] if arguments is None else arguments
-    try:
-        with warnings.catch_warnings():
-            warnings.showwarning = _warn
-            with status_line(" ".join(words[:1])), needed_for(" ".join(["viewshed", *words[:1]])):
-                sys.exit(application()(words, standalone_mode=False))
-    except _Refused as error:
-        _refuse(cast(typer.BadParameter, error).format_message())
-    except BAD_INPUTS as error:
-        _refuse(one_line(error))
-    except (KeyboardInterrupt, typer.Abort):
-        sys.exit(INTERRUPTED)
-    except SystemError as error:  # compiled code turns an interrupt into this
-        if not _from_interrupt(error):
-            raise
-        sys.exit(INTERRUPTED)
-
-
-def _from_interrupt(error: BaseException | None) -> bool:
-    while error is not None and not isinstance(error, KeyboardInterrupt):
-        error = error.__cause__ or error.__context__
-    return error is not None
+    with heeding_interrupts():
+        try:
+            with warnings.catch_warnings():
+                warnings.showwarning = _warn
+                with status_line(" ".join(words[:1])), needed_for(" ".join(["viewshed", *words[:1]])):
+                    sys.exit(application()(words, standalone_mode=False))
+        except _Refused as error:
+            _refuse(cast(typer.BadParameter, error).format_message())
+        except (KeyboardInterrupt, typer.Abort):
+            sys.exit(INTERRUPTED)
+        except (*BAD_INPUTS, SystemError) as error:
+            if was_interrupted():  # compiled code turned the interrupt into this error
+                sys.exit(INTERRUPTED)
+            if isinstance(error, SystemError):
+                raise
+            _refuse(one_line(error))
 
 
 def _warn(message: Warning | str, category: type[Warning], *_: object, **__: object) -> None:

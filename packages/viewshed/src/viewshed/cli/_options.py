@@ -14,7 +14,7 @@ import typer
 from typer.core import TyperCommand
 
 from viewshed._extras import plugin
-from viewshed.cli._terminal import complain, note
+from viewshed.cli._terminal import complain, note, raise_if_interrupted
 
 if TYPE_CHECKING:
     from viewshed.estimators import Estimator
@@ -140,6 +140,7 @@ class Reading:
         model = None if self.sensor in {AUTO, NO_SENSOR} else lidar_model(self.sensor)
         origin_m, is_moved = parse_numbers("origin", self.origin, 3), entry is None and self._is_moved(path)
         for number, sweep in self._read(path, is_moved) if entry is None else enumerate(self._indexed(entry)):
+            raise_if_interrupted()
             if origin_m is not None:
                 sweep = self._seen_from(origin_m, sweep, is_moved)  # noqa: PLW2901
             changes: dict[str, Any] = {} if self.ring == "file" else {"ring": None}

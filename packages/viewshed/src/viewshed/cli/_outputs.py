@@ -16,7 +16,7 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
-from viewshed.cli._terminal import BAD_INPUTS, complain, one_line
+from viewshed.cli._terminal import BAD_INPUTS, complain, one_line, raise_if_interrupted
 from viewshed.cli._verdicts import stream_verdicts
 
 if TYPE_CHECKING:
@@ -145,6 +145,7 @@ class Failures:
 
     def report(self, file: Path | str, error: Exception) -> None:
         """Report a failure with a file; raise errors that are not caused by bad input."""
+        raise_if_interrupted()
         if not isinstance(error, BAD_INPUTS):
             raise error
         self.count += 1

@@ -17,7 +17,7 @@ from viewshed.cli._options import AUTO, MonitorFile, Passes, Reading, Seed, Weig
 from viewshed.cli._outputs import Failures, free_name, make_folder, refuse_inputs, stem_of, with_bar
 from viewshed.cli._places import chosen_files, place_of_result
 from viewshed.cli._stream import placed_sweeps
-from viewshed.cli._terminal import BAD_INPUTS, note
+from viewshed.cli._terminal import BAD_INPUTS, note, raise_if_interrupted
 from viewshed.cli._verdicts import stream_monitor, stream_verdicts, verdicts
 
 if TYPE_CHECKING:
@@ -247,6 +247,7 @@ class _Source:
         from viewshed.recordings.recording import data_sets
 
         for number, (scene, sweep) in enumerate(data_sets(place).sweeps(place, self.split)):
+            raise_if_interrupted()
             yield SceneSweep(f"{place} {scene}", f"{scene} {number:05}", sweep)
 
     def _read(self, place: str) -> Iterator[SceneSweep]:
