@@ -8,7 +8,7 @@ import pytest
 from viewshed import BevGrid, CellState, FovEstimate
 from viewshed.fov.estimate import Basis
 
-GRID = BevGrid(4, 2.0)
+GRID = BevGrid(4, 4.0)  # cells of 2 m
 
 
 def _estimate(**changes: object) -> FovEstimate:
@@ -25,8 +25,22 @@ def test_visible_is_the_probability_from_the_threshold_on() -> None:
     estimate = _estimate()
     assert np.argwhere(estimate.visible()).tolist() == [[3, 0]]
     assert np.argwhere(estimate.visible(0.4)).tolist() == [[2, 1], [3, 0]]
-    assert estimate.area_m2() == 1.0
+    assert estimate.area_m2() == estimate.polygon().area == estimate.inner_polygon(4).area == 4.0
+    assert estimate.polygon(0.4).area == estimate.inner_polygon(8, 0.4).area == 8.0
     assert estimate.share(CellState.FREE) == 1 / 16
+    assert "a car is visible on 4 m² of 8 × 8 m; 0% hidden, 0% surface, 6% free, 94% unknown" in repr(estimate)
+    with pytest.raises(ValueError, match=r"threshold must lie in \(0, 1\], got 1.1"):
+        estimate.visible(1.1)
+
+
+def test_a_picture_is_titled_by_method_and_target_and_shown_everywhere(monkeypatch: pytest.MonkeyPatch) -> None:
+    estimate, opened = _estimate(method="by hand"), list[str]()
+    picture = estimate.plot()
+    assert picture.startswith(b"\x89PNG")
+    assert picture == estimate.plot(title="by hand, car") != estimate.plot(title="another")
+    monkeypatch.setattr("webbrowser.open", opened.append)
+    assert estimate.show().read_bytes() == estimate._repr_png_() == picture
+    assert opened[0].endswith("/by%20hand.png")
 
 
 def test_numbers_of_numpy_are_saved_as_any_others(tmp_path: Path) -> None:
@@ -36,7 +50,7 @@ def test_numbers_of_numpy_are_saved_as_any_others(tmp_path: Path) -> None:
 
 
 def test_at_looks_up_and_is_nan_outside() -> None:
-    found = _estimate().at(np.array([[1.5, -1.5], [-1.5, 1.5], [2.0, 0.0]]))
+    found = _estimate().at(np.array([[3.0, -3.0], [-3.0, 3.0], [4.0, 0.0]]))
     assert found.dtype == np.float32
     assert found[:2].tolist() == [0.5, 0.0]
     assert np.isnan(found[2])

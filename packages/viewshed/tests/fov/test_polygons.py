@@ -118,6 +118,8 @@ def test_inner_polygon_stays_inside_any_mask(mask: Mask, vertices: int) -> None:
     assert inner.is_valid
     assert vertices_of(inner) <= vertices
     assert outside_area(inner, mask, grid) < 1e-9
+    exact = polygon_of_mask(mask, grid)
+    assert inner_polygon_of_mask(mask, grid, max(vertices_of(exact), 3)) == exact
 
 
 def test_inner_polygon_keeps_much_of_a_clean_mask_and_more_with_more_vertices() -> None:

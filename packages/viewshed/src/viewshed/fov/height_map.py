@@ -77,10 +77,18 @@ class HeightMap:
         return _core.interpolate(self.heights_m, node, down, right).reshape(positions.node.shape)
 
     def shifted(self, deviations: float) -> HeightMap:
-        """Return the ground raised by ``deviations`` standard deviations."""
+        """Return the ground raised by ``deviations`` standard deviations.
+
+        >>> HeightMap.flat(64.0, -1.5, std_m=0.5).shifted(2.0).at(np.zeros(2)).tolist()
+        -0.5
+        """
         return replace(self, heights_m=self.heights_m + np.float32(deviations) * self.std_m)
 
     def raised(self, delta_m: float) -> HeightMap:
-        """Return the ground raised by ``delta_m`` meters."""
+        """Return the ground raised by ``delta_m`` meters.
+
+        >>> HeightMap.flat(64.0, -1.5).raised(0.5).plane
+        (0.0, 0.0, -1.0)
+        """
         a, b, c = self.plane
         return replace(self, heights_m=self.heights_m + np.float32(delta_m), plane=(a, b, c + delta_m))
