@@ -80,6 +80,7 @@ def test_what_all_report_is_one_track_each_and_believed() -> None:
     [*_, last] = run([[CARS] * 3] * 6)
     assert last.believed.sum() == 2
     assert last.reporters[last.believed].all()
+    assert last.reported.all()
     places = last.tracks.boxes[last.believed][:, :2]
     assert np.linalg.norm(places[:, None] - CARS[None, :, :2], axis=2).min(axis=0).max() < 0.2
     assert not last.verdicts.suspects.any()
@@ -148,6 +149,8 @@ def test_the_own_vehicle_is_no_missing_object() -> None:
     agent = AgentReport.of(AGENTS[0], Detections.none())
     assert agent.own_box is not None
     assert chances([agent], own, honest_model())[0] == 0.0
+    there = AgentReport.of(AGENTS[1], Detections.none()).is_own(own + np.array([[4.0, -9.0, 0, 0, 0, 0, 0], [0] * 7]))
+    assert there.tolist() == [True, False]
     assert chances([AgentReport(AGENTS[0], Detections.none())], CARS, honest_model()).min() > 0.5
 
 
@@ -159,6 +162,10 @@ def test_detections_of_two_agents_are_matched_one_to_one() -> None:
     members = match_agents([found(CARS), found(shifted), found(near)])
     assert members.tolist() == [[0, 0, 0], [1, 1, 1], [-1, -1, 2]]
     assert match_agents([Detections.none(), Detections.none()]).shape == (0, 2)
+    # A third is matched with the mean of two, 1.5 m ahead of the first; the gate is 4 m.
+    for ahead_m in (-2.4, 5.4):
+        places = [found(CARS[:1] + np.array([x_m, 0, 0, 0, 0, 0, 0])) for x_m in (0.0, 3.0, ahead_m)]
+        assert match_agents(places).tolist() == [[0, 0, 0]]
 
 
 def test_reports_of_strangers_doubles_and_the_past_are_refused() -> None:
@@ -287,6 +294,10 @@ def test_views_of_other_grids_are_put_together() -> None:
     assert (joint.surest == 1).all()
     last = follow(CommandCenter(("a", "b")), [[report(view("a"), CARS), report(other, CARS)]] * 4)[-1]
     assert last.believed.sum() == 2
+    assert Round.of(last).joint.grid.cell_m == 1.0
+    third = replace(other, agent="c")
+    last = follow(CommandCenter(NAMES), [[report(one, CARS) for one in (view("a"), other, third)]])[-1]
+    assert Round.of(last).joint.grid.cell_m == 4.0
 
 
 def test_no_report_is_an_answer_too() -> None:

@@ -247,6 +247,7 @@ def test_limits_hold_their_rate_and_refuse_what_they_cannot(masts: int) -> None:
     assert np.mean([one.any() for one in accused]) == pytest.approx(0.05, abs=0.015)
     # Each kind has its part: the scale makes up for what the elevated ones err more.
     assert np.mean(accused, axis=0) == pytest.approx(np.mean(accused), abs=0.008)
+    assert not limits.beyond(limits.usual[elevated.astype(int)], elevated).any()
     # Each question convicts by itself.
     for question in range(5):
         answers = np.zeros((5, 5))

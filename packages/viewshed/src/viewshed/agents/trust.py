@@ -528,6 +528,11 @@ def _mixed(logs: F64, shares: F64) -> F64:
 
 
 def _log_mean_exp(logs: F64) -> float:
+    """Return the log of the mean of exponentials.
+
+    >>> round(_log_mean_exp(np.log([2.0, 4.0])), 4)
+    1.0986
+    """
     highest = float(logs.max())
     return highest + float(np.log(np.exp(logs - highest).mean()))
 
