@@ -8,7 +8,8 @@ import pytest
 from viewshed.fov.estimate import CellState, FovEstimate
 from viewshed.geometry import Rigid
 from viewshed.grid import BevGrid
-from viewshed.objects.cells import SeenCells
+from viewshed.objects.association import inside
+from viewshed.objects.cells import SeenCells, footprint_points
 
 GRID = BevGrid(256, 32.0)
 
@@ -43,6 +44,16 @@ def test_shares_of_a_car_a_ghost_and_a_box_in_the_shadow() -> None:
     assert look.first_m[1] == 10.0
     assert look.ring_free[1] == 1.0
     assert look.range_m[1] == pytest.approx(np.hypot(5.0, 9.0))
+
+
+def test_points_of_a_footprint_lie_in_it_and_span_it() -> None:
+    rng = np.random.default_rng(4)
+    boxes = np.column_stack([rng.uniform(-9, 9, (50, 3)), rng.uniform(1, 9, (50, 3)), rng.uniform(-3, 3, 50)])
+    for box, points in zip(boxes, footprint_points(boxes, margin_m=0.0), strict=True):
+        assert inside(points, box[None], 1e-9).all()
+        assert not inside(points, box[None] * [1, 1, 1, 0.8, 1, 1, 1]).all()
+        assert not inside(points, box[None] * [1, 1, 1, 1, 0.6, 1, 1]).all()
+        np.testing.assert_allclose(points.mean(axis=0), box[:2], atol=1e-9)
 
 
 def test_cells_of_an_estimate_without_a_pose_are_in_its_own_frame() -> None:

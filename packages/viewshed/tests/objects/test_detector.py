@@ -9,6 +9,7 @@ from tests.objects.scenes import GRID, HEIGHT_M, car, found, of_kind, person, se
 from viewshed import Sweep, _core
 from viewshed.detections import ObjectKind
 from viewshed.objects.candidates import find_candidates
+from viewshed.objects.completion import LEFT_HIDDEN, RIGHT_HIDDEN, USUAL_SIZE_M, complete_boxes
 from viewshed.objects.detector import MAX_OBJECTS, Detector, choose_nested, first_of_overlapping
 from viewshed.preprocess.leveling import level
 from viewshed_lab.sim import Box
@@ -32,6 +33,20 @@ def test_one_car_is_one_box_where_the_car_is(sensor: str, place: tuple[float, fl
     assert box[3:6] == pytest.approx((4.4, 1.8, 1.5), abs=0.35)
     assert box[2] == pytest.approx(box[5] / 2, abs=0.05)
     assert detections.returns[0] > 20
+
+
+@pytest.mark.parametrize("yaw", [0.0, 2.0])
+def test_the_end_that_is_not_seen_is_completed(yaw: float) -> None:
+    """Two meters of a car's side, 2 m to the left: ahead, behind, beside; then what hides its left or right end."""
+    length_m, width_m, height_m = USUAL_SIZE_M[ObjectKind.CAR]
+    beside = {0: 0.0, LEFT_HIDDEN: 1 - length_m / 2, RIGHT_HIDDEN: length_m / 2 - 1}  # seen to the left, left is behind
+    begins = [(8, 0), (-10, 0), *((-1, hidden) for hidden in beside)]
+    sides = np.array([[yaw, begin, begin + 2, 2.0, 2.2, hidden] for begin, hidden in begins], np.float32)
+    boxes = complete_boxes(sides, np.full(5, ObjectKind.CAR, np.uint8), np.zeros(5, bool), np.ones(5, np.float32))
+    turn = np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
+    along = [8 + length_m / 2, -8 - length_m / 2, *beside.values()]
+    np.testing.assert_allclose(boxes[:, :2] @ turn, [[x, 2 + width_m / 2] for x in along], atol=1e-5)
+    assert boxes[:, 2:] == pytest.approx(np.tile([height_m / 2, length_m, width_m, height_m, yaw], (5, 1)), abs=1e-5)
 
 
 def test_boxes_stand_on_the_ground_of_a_slope() -> None:

@@ -30,6 +30,9 @@ def test_gospa_is_that_of_stone_soup(tracks: F64, truths: F64, cutoff: float, or
     assert mine.distance_m == pytest.approx(theirs["distance"], abs=1e-9)
     assert mine.localization == pytest.approx(theirs["localisation"], abs=1e-9)
     assert (mine.missed, mine.false) == pytest.approx((theirs["missed"], theirs["false"]), abs=1e-9)
+    # Heights do not count.
+    raised = np.column_stack([tracks, np.arange(len(tracks))])
+    assert gospa(raised, truths, cutoff_m=cutoff, order=order) == mine
 
 
 @given(tracks=POINTS, truths=POINTS, cutoff=st.sampled_from([1.0, 4.0]))

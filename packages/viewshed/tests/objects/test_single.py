@@ -184,6 +184,9 @@ def test_the_way_of_earlier_places_is_that_of_least_squares() -> None:
     line = np.polynomial.polynomial.polyfit(times[:EARLIER], places[:EARLIER], 1)
     expected = places[-LATEST:].mean(axis=0) - (line[0] + line[1] * times[-LATEST:].mean())
     np.testing.assert_allclose(vectors[0], expected, atol=1e-9)
+    # The latest places took 1.2 s: no sudden change.
+    times[-LATEST:] = times[EARLIER - 1] + np.linspace(0.1, 1.3, LATEST)
+    assert np.isnan(Sightings(times[None], places[None]).jumps()[0]).all()
 
 
 def test_a_model_is_the_same_after_it_was_written(tmp_path: Path) -> None:

@@ -70,7 +70,11 @@ class Weights:
     bias: float  # constant term
 
     def __call__(self, columns: Columns) -> F64:
-        """Return the log-odds (…,) of features with columns (…, F)."""
+        """Return the log-odds (…,) of features with columns (…, F).
+
+        >>> Weights(np.array([1.0, 2.0, 4.0]), 0.5)(np.array([[0, 2], [1, 2]])).tolist()
+        [5.5, 6.5]
+        """
         total: F64 = self.of_bins[columns].sum(axis=-1) + self.bias
         return total
 
