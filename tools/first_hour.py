@@ -30,7 +30,7 @@ SILENT_S = 3.0
 _MAX_LINES = 50
 
 _ABOUT = """A transcript of what a newcomer types in an empty home, and of all that is printed. Seconds were measured on
-this machine, under whatever load it had; *silent* is the longest wait without a line."""
+the machine named at the end, under whatever load it had; *silent* is the longest wait without a line."""
 
 
 @dataclass(slots=True)

@@ -115,10 +115,12 @@ REFUSED = {
     # Where results go.
     f"estimate {GOOD} --out file": "must be a folder", f"compare {GOOD} --out file/c.png": "must lie in a folder that",
     f"export {GOOD} --out no/a.geojson": "must lie in a folder that exists",
+    f"compare {GOOD} --out x.foo": "--out must be a folder or a file NAME.png, got x.foo",
+    "demo --out one.png": "--out must be a folder for the results, got the name of a file, one.png; leave out .png",
     **{f"record {GOOD} --to no/{name}": "must lie in a folder that exists, got … no; create it first"
        for name in ("a.mcap", "a.bag", "a")},
     **dict.fromkeys((
-        "estimate sweep.npz --out .", "export sweep.npz --to npz", "compare sweep.npz --out sweep.npz",
+        "estimate sweep.npz --out .", "export sweep.npz --to npz",
         f"export {GOOD} --out {GOOD}",
         "replay two.mcap --topic /front --as-fast --to two.mcap",
         f"view {GOOD} --html {GOOD}", f"view {GOOD} --rerun {GOOD}"

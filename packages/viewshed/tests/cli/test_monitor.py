@@ -160,7 +160,7 @@ def test_check_alarms_where_returns_are_gone(place: Path) -> None:
     calm, cut, total = said.splitlines()
     assert re.fullmatch(r"calm\.npz: score 0\.\d{4}, limit 0\.\d{4}, no alarm", calm)
     assert re.fullmatch(r"cut\.npz: score 0\.\d{4}, limit 0\.\d{4}, ALARM, \d+ m² suspect", cut)
-    assert total == "2 sweeps, 1 alarms"
+    assert total == "2 sweeps, 1 alarm"
 
 
 def test_a_page_shows_what_the_monitor_says(place: Path, tmp_path: Path) -> None:

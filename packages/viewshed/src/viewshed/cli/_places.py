@@ -130,4 +130,8 @@ def place_of_result(out: str | None, name: str) -> Path:
         return place
     if out.endswith(("/", os.sep)) or not place.suffix:
         place.mkdir(parents=True, exist_ok=True)
-    return place / name if place.is_dir() else place
+    if place.is_dir():
+        return place / name
+    if name.endswith(".png") and place.suffix.lower() != ".png":
+        raise ValueError(f"--out must be a folder or a file NAME.png, got {out}")
+    return place

@@ -9,7 +9,7 @@ import typer
 
 from viewshed.cli import _options as options
 from viewshed.cli._options import NetworkOptions
-from viewshed.cli._outputs import Run
+from viewshed.cli._outputs import Run, make_folder
 
 if TYPE_CHECKING:
     from viewshed.fov.estimate import FovEstimate
@@ -27,7 +27,7 @@ def demo(out: Annotated[Path, typer.Option(help="Folder of the results.")] = Pat
     from viewshed.io import read_sweep
     from viewshed.io.samples import junction_path
 
-    out.mkdir(parents=True, exist_ok=True)
+    make_folder(out)
     estimator = NetworkOptions().estimator(None, options.parse_grid("road"), "car")
     summary = Run(estimator, estimator.threshold, out).one(read_sweep(junction_path()), "demo")
     typer.echo(summary.line)

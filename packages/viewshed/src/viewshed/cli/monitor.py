@@ -466,7 +466,7 @@ class SweepRun(_Run):
 
     def summary(self) -> str:
         """Return one line with the numbers of checked sweeps and findings."""
-        alarms = f", {self.alarms} alarms" if self.alarms else ""
+        alarms = f", {_alarms(self.alarms)}" if self.alarms else ""
         return f"{self.checked} sweeps, {self.inconsistent} inconsistent, {self.degraded} degraded{alarms}"
 
     def picture(self, leveled: LeveledSweep, report: IntegrityReport, line: str) -> bytes:
@@ -510,7 +510,7 @@ class _DeviationRun(_Run):
 
     def summary(self) -> str:
         """Return one line with the numbers of checked sweeps and alarms."""
-        return f"{self.checked} sweeps, {self.alarms} alarms"
+        return f"{self.checked} sweeps, {_alarms(self.alarms)}"
 
 
 def estimator_of(monitor: DeviationMonitor, weights: str | None) -> UnetEstimator:
@@ -536,3 +536,7 @@ def _identity(estimator: UnetEstimator) -> str:
     """Return name and fingerprint of an estimator's network, a hash of its card."""
     digest = hashlib.sha256(estimator.card.to_json().encode()).hexdigest()
     return f"{estimator.card.name} {digest[:12]}"
+
+
+def _alarms(count: int) -> str:
+    return f"{count} alarm{'s' * (count != 1)}"
