@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import rclpy
 import yaml
@@ -159,7 +160,7 @@ def test_what_can_change_at_run_time_does_and_the_rest_says_how(node: FieldOfVie
 )
 def test_what_is_given_wrongly_at_the_start_is_told_and_can_be_mended(given: str, why: str) -> None:
     context = rclpy.Context()
-    words = [f"stale_s:={given}", "monitor:=never", "vehicle_front_m:=4", "lidar.mounting:=[0, 0, 1, 1, 0, 0, 0]"]
+    words = [f"stale_s:={given}", "monitor:=never", "vehicle_front_m:=4", "lidar.mounting:=[0, 0, 1, 0, 0, 0, 1]"]
     context.init(args=["--ros-args", *(word for each in words for word in ("-p", each))])
     node = FieldOfView(context=context)
     try:
@@ -167,6 +168,8 @@ def test_what_is_given_wrongly_at_the_start_is_told_and_can_be_mended(given: str
             parameters.read(node)
         assert node.trigger_configure() == TransitionCallbackReturn.FAILURE
         assert node.set_parameters([Parameter("stale_s", value=1.0)])[0].successful
+        [sensor] = parameters.read(node).sensors
+        assert abs(sensor.changes["vehicle_yaw"]) == pytest.approx(np.pi)  # it looks back
         assert node.trigger_configure() == TransitionCallbackReturn.SUCCESS
         assert node.trigger_cleanup() == TransitionCallbackReturn.SUCCESS
     finally:

@@ -318,6 +318,8 @@ def _sensor(node: Node, name: str) -> SensorSettings:
         changes["attitude"] = np.array(given["attitude"])
         rotation_from_quaternion(changes["attitude"])
     base_from_sensor = _mounting(given["mounting"])
+    if not np.array_equal(base_from_sensor.rotation, np.eye(3)):
+        changes["vehicle_yaw"] = base_from_sensor.inverse().yaw
     topic = given["topic"] or f"{name}/points"
     kind, revolutions = INPUTS[given["type"]], None
     if kind.packet:

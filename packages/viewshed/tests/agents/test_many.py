@@ -152,6 +152,8 @@ def test_the_own_vehicle_is_no_missing_object() -> None:
     there = AgentReport.of(AGENTS[1], Detections.none()).is_own(own + np.array([[4.0, -9.0, 0, 0, 0, 0, 0], [0] * 7]))
     assert there.tolist() == [True, False]
     assert chances([AgentReport(AGENTS[0], Detections.none())], CARS, honest_model()).min() > 0.5
+    mast = replace(AGENTS[0], basis=Basis(28.0, "given", 1.0, 0.0, 0.0, 60.0))
+    assert AgentReport(mast, Detections.none()).blind_m == 15.0
 
 
 def test_detections_of_two_agents_are_matched_one_to_one() -> None:
@@ -298,6 +300,23 @@ def test_views_of_other_grids_are_put_together() -> None:
     third = replace(other, agent="c")
     last = follow(CommandCenter(NAMES), [[report(one, CARS) for one in (view("a"), other, third)]])[-1]
     assert Round.of(last).joint.grid.cell_m == 4.0
+
+
+def test_one_agent_can_neither_fill_the_tracks_nor_end_a_round() -> None:
+    """One of three reports 500 boxes of its own, with as many returns as a number holds."""
+    x, y = np.meshgrid(np.arange(-30.0, 30.0, 2.4), np.arange(-30.0, 30.0, 3.0))
+    boxes = np.column_stack([x.ravel(), y.ravel(), np.tile([0.8, 0.9, 0.9, 1.6, 0.0], (x.size, 1))])
+    flood = report(AGENTS[2], np.concatenate([CARS, boxes]), standing=CARS)
+    many = replace(flood.detections, returns=np.full(x.size + 2, np.iinfo(np.int32).max, np.int32))
+    flood = replace(flood, detections=many)
+    honest = [report(agent, CARS) for agent in AGENTS[:2]]
+    late = CARS + np.array([4.0, 6.0, 0, 0, 0, 0, 0])
+    [*_, last] = follow(CommandCenter(NAMES), [[*honest, flood]] * 4 + [[*honest[:1], report(AGENTS[1], late), flood]])
+    assert last.notes[0].startswith("c: 3")
+    assert "objects that no other agent reports are left out" in last.notes[0]
+    for cars, agent in ((CARS, 0), (late, 1)):
+        near = np.linalg.norm(last.tracks.boxes[:, None, :2] - cars[None, :, :2], axis=2) < 2.0
+        assert (near & last.reporters[:, [agent]]).any(axis=0).all()
 
 
 def test_no_report_is_an_answer_too() -> None:

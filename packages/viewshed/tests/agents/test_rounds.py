@@ -16,6 +16,7 @@ from viewshed.agents.rounds import WHY, Round, Rounds
 from viewshed.agents.trust import QUESTIONS, trust_limits
 from viewshed.cli.fuse import line_of
 from viewshed.geometry import Rigid
+from viewshed.grid import BevGrid
 
 BEGIN_S, HZ = 1.76e9, 2.0
 
@@ -70,8 +71,32 @@ def test_who_comes_in_is_told_and_time_that_goes_back_begins_anew() -> None:
     heard(rounds, [(5.0, 0), (5.0, 1), (5.5, 0), (5.5, 1), (6.0, 0), (6.0, 2)])
     heard(rounds, [(6.0, 1)])
     assert rounds.notes == ["c joined: its trust starts at the prior, the others keep theirs"]
-    heard(rounds, [(0.0, 0)])
+    heard(rounds, [(0.0, 0), (0.0, 1)])
     assert rounds.notes == ["time went back: the center starts over"]
+
+
+def test_one_time_that_goes_back_begins_nothing_anew() -> None:
+    """One old time stamp among those of three leaves out that report alone; a clock that stays behind, all of its."""
+    rounds = Rounds()
+    heard(rounds, [(0.5 * k, agent) for k in range(8) for agent in range(3)])
+    heard(rounds, [(4.0, 0), (4.0, 1), (2.4, 2)])
+    assert rounds.notes[:1] == ["c: its time went back, that of others did not; its report is left out"]
+    said = [(0.5 * k - 1.5 * (agent == 2), agent) for k in range(9, 17) for agent in range(3)]
+    done = [each for ended in heard(rounds, said) for each in ended]
+    assert len(done) >= 6
+    assert all({"a", "b"} <= {one.agent for one in each.reports} for each in done)
+    # A drive after another, of another agent, begins anew.
+    done = [each for ended in heard(rounds, [(0.2 * k, 2) for k in range(10)]) for each in ended]
+    assert [each.picture.agents for each in done] == [("c",)] * len(done) != []
+
+
+@pytest.mark.parametrize("half_extent_m", [1e300, 1e-300])
+def test_a_grid_that_reaches_nowhere_or_everywhere_costs_no_round(half_extent_m: float) -> None:
+    rounds, odd = Rounds(agents=("a", "b", "c")), replace(view("c"), grid=BevGrid(64, half_extent_m))
+    heard(rounds, [(0.0, 0), (0.0, 1)])
+    rounds.add(0.0, AgentReport(odd, report(AGENTS[0], CARS).detections))
+    assert rounds.notes == [f"c: its grid must reach 1 to 10000 m, got {half_extent_m:g} m; its report is left out"]
+    assert [len(each.reports) for each in rounds.close()] == [2]
 
 
 def test_who_contradicts_two_others_is_told() -> None:

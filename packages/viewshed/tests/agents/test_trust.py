@@ -222,6 +222,46 @@ def test_agents_may_come_in_any_order() -> None:
     assert np.allclose(one.existence, other.existence)
 
 
+def nothing_reported(agents: int) -> Reports:
+    return reports_of(np.zeros((0, agents), bool), np.zeros((0, agents)))
+
+
+def surprises(agents: int, present: int, *, who: int | None = 0) -> tuple[F64, F64]:
+    """Return comparisons of the views of those present, of whom one sees through all others and is misplaced."""
+    pairs, own = np.full((agents, agents, 2), np.nan), np.full((agents, 3), np.nan)
+    pairs[:present, :present], own[:present] = 0.0, 0.0
+    if who is not None:
+        pairs[who, :present, 0], own[who, 2] = 4.8, 4.8
+    return pairs, own
+
+
+@pytest.mark.parametrize("gone", [1, 5, 13])
+def test_who_left_weakens_nothing_that_speaks_against_those_present(gone: int) -> None:
+    few, many, present = Trust(3), Trust(3 + gone), np.arange(3 + gone) < 3
+    for _ in range(12):
+        alone = few.add(nothing_reported(3), 0.5, surprises(3, 3))
+        verdicts = many.add(nothing_reported(3 + gone), 0.5, surprises(3 + gone, 3), present=present)
+    assert verdicts.answers[:3] == pytest.approx(alone.answers, abs=1e-9)
+    assert verdicts.trust[:3] == pytest.approx(alone.trust, abs=0.08)
+
+
+def test_evidence_of_views_is_the_same_at_any_rate_and_fades() -> None:
+    """Agents take turns at higher rates, so that each view is compared as often; nothing renews it after 4 s."""
+    found = []
+    for hz in (2, 10):
+        trust = Trust(5)
+        for k in range(4 * hz):
+            turn = np.arange(5) == k % 5 if hz == 10 else np.ones(5, bool)
+            pairs, own = surprises(5, 5)
+            pairs[~(turn[:, None] | turn[None])], own[~turn] = np.nan, np.nan
+            found.append(trust.add(nothing_reported(5), 1.0 / hz, (pairs, own)))
+        for _ in range(60 * hz):
+            faded = trust.add(nothing_reported(5), 1.0 / hz, surprises(5, 0, who=None))
+        assert faded.answers[0, 2:4] == pytest.approx(0.0, abs=0.01)
+        assert faded.trust[0] == pytest.approx(faded.trust[1], abs=0.01)
+    assert found[-1].answers[0, 2:4] == pytest.approx(found[7].answers[0, 2:4], rel=0.05)
+
+
 def test_old_reports_fade_and_memory_stays_bounded() -> None:
     trust = Trust(3)
     liar = reports_of(np.array([[1, 1, 0]] * 3, bool), np.full((3, 3), 0.95))

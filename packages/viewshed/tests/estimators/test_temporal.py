@@ -26,3 +26,11 @@ def test_one_agent_can_be_forgotten() -> None:
         buffer.add(level(sweep, BevGrid(8, 8.0)))
     buffer.reset("car")
     assert list(buffer._kept) == ["mast"]
+
+
+def test_time_that_goes_back_by_less_than_the_buffer_holds_begins_a_new_stream() -> None:
+    """Sweeps are kept once a second: 2.9 s after 3.2 s is after the last kept one, but the clock went back."""
+    sweep = read_sweep(junction_path()).replace(world_from_sensor=Rigid.identity())
+    stream = TemporalEstimator(load_estimator("shadow_map"), require_confirmation=True)
+    claims = [stream.estimate(sweep.replace(t_ns=round(1e9 * t_s))).area_m2() for t_s in (1.0, 2.0, 3.2, 2.9, 3.0)]
+    assert [area_m2 > 0.0 for area_m2 in claims] == [False, True, True, False, True]

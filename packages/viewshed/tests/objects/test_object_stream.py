@@ -50,6 +50,15 @@ def test_honest_tracks_are_where_objects_are_and_are_left_alone() -> None:
     assert len(accused) <= 0.1 * len(tracks)
 
 
+def test_a_late_sweep_changes_nothing_and_is_told() -> None:
+    objects, steps = ObjectStream(), drive()[:6]
+    seen = [objects.follow(leveled, estimate) for leveled, estimate, _ in steps]
+    again = objects.follow(*steps[3][:2])
+    assert again.explained.tracks.notes == ("a sweep 0.200 s late: its detections are left out",)
+    np.testing.assert_array_equal(again.explained.tracks.boxes, seen[-1].explained.tracks.boxes)
+    np.testing.assert_array_equal(again.explained.explanations, seen[-1].explained.explanations)
+
+
 def test_a_ghost_in_the_middle_of_the_street_is_named() -> None:
     adversary = Adversary("fabricate_static", start_s=1.0, count=1, seed=37)
     seen = followed(ObjectStream(tamper=adversary.detections))

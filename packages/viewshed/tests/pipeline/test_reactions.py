@@ -175,6 +175,13 @@ def test_the_speed_is_that_from_which_a_car_stops_in_what_is_free() -> None:
     assert speed_for_view(hidden) == pytest.approx(-1.5 + np.sqrt(1.5**2 + 6 * 10.0))
     beside = np.where(GRID.centers[..., 1] > 2.0, np.uint8(CellState.HIDDEN), np.uint8(CellState.FREE))
     assert speed_for_view(FovEstimate(GRID, np.ones(GRID.shape, np.float32), beside)) == speed_for_view(free)
+    diagonal_m = 32.0 * np.sqrt(2.0) - Vehicle().half_width_m - Vehicle().front_m
+    # The same lane along any heading: the cells ahead are those turned by it.
+    for quarters, heading in enumerate((0.0, 0.5 * np.pi, np.pi, -0.5 * np.pi)):
+        turned = replace(hidden, state=np.rot90(state, quarters))
+        assert speed_for_view(turned, heading=heading) == pytest.approx(speed_for_view(hidden))
+        assert speed_for_view(turned, heading=heading + np.pi) == pytest.approx(speed_for_view(free))
+    assert speed_for_view(free, heading=0.25 * np.pi) == pytest.approx(-1.5 + np.sqrt(1.5**2 + 6 * diagonal_m))
     unknown = FovEstimate(GRID, np.zeros(GRID.shape, np.float32), np.zeros(GRID.shape, np.uint8))
     assert speed_for_view(unknown) == speed_for_view(unknown, Vehicle(front_m=-100.0)) == 0.0
     for offset_m in ((40.0, 0.0), (0.0, 31.0), (0.0, -40.0)):  # a grid without a part of the lane does not show it free

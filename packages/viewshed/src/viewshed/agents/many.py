@@ -33,13 +33,13 @@ from viewshed.agents.honest import (
 from viewshed.agents.joint_fov import JointFov, confirmed, joint_fov
 from viewshed.agents.registration import registered_poses
 from viewshed.agents.report import FAR_M, AgentReport
-from viewshed.agents.trust import Reports, Trust, TrustRules, Verdicts
+from viewshed.agents.trust import SCENE_S, Reports, Trust, TrustRules, Verdicts
 from viewshed.agents.view_evidence import ComparedView, Comparisons, compare_views
 from viewshed.arrays import F64, Mask
 from viewshed.detections import Detections
 from viewshed.objects.association import assign
 from viewshed.objects.cells import BoxCells, SeenCells
-from viewshed.objects.tracker import Tracker
+from viewshed.objects.tracker import MAX_DETECTIONS, MAX_TRACKS, Tracker
 from viewshed.objects.tracks import Tracks
 from viewshed.objects.views import hidden_within
 
@@ -162,6 +162,7 @@ class CommandCenter:
     _reported: dict[int, F64] = field(default_factory=dict, repr=False)
     _weights: F64 = field(init=False, repr=False)
     _elevated: Mask = field(init=False, repr=False)
+    _heard_s: F64 = field(init=False, repr=False)  # (A,) time of the last report of each agent
     _views: dict[int, ComparedView] = field(default_factory=dict, repr=False)
     _last_turn: dict[int, int] = field(default_factory=dict, repr=False)
     _times: int = 0
@@ -171,7 +172,7 @@ class CommandCenter:
         _require_different(self.agents)
         self._trust = Trust(len(self.agents), self.rules)
         self._weights = np.ones(len(self.agents))
-        self._elevated = np.zeros(len(self.agents), np.bool_)
+        self._elevated, self._heard_s = np.zeros(len(self.agents), np.bool_), np.full(len(self.agents), -np.inf)
 
     def regroup(self, agents: tuple[str, ...]) -> None:
         """Change the group of agents: those that stay keep their record, new ones begin at the prior.
@@ -189,7 +190,7 @@ class CommandCenter:
         self._last_turn = {number: self._last_turn[old] for number, old in enumerate(kept) if old in self._last_turn}
         # kept is -1 for new agents, which selects the appended last element.
         self._weights = np.append(self._weights, 1.0)[kept]
-        self._elevated = np.append(self._elevated, False)[kept]
+        self._elevated, self._heard_s = np.append(self._elevated, False)[kept], np.append(self._heard_s, -np.inf)[kept]
         self._reported = {number: np.column_stack([past, _UNSEEN])[:, kept] for number, past in self._reported.items()}
         self.agents = agents
 
@@ -205,7 +206,7 @@ class CommandCenter:
         # 1. to 3. Correct poses, match detections, track.
         trust = np.ones(len(reports)) if self.trusting else self._weights[columns]
         reports = registered(reports)
-        matches = match_agents([report.in_world for report in reports])
+        matches, notes = _bounded(match_agents([report.in_world for report in reports]), reports, trust)
         joint, noise = _joint(reports, matches, trust)
         tracks = self._tracker.step(t_s, joint, JointView(t_s, tuple(reports), trust, self.honest), noise)
 
@@ -222,7 +223,9 @@ class CommandCenter:
         compared = self._compared(dict(zip(columns.tolist(), reports, strict=True)), seconds)
         ratio, views = self.honest.withheld_ratio(said), self.honest.views(compared, self._elevated)
         judged = self._judged(ids, said, reports, columns, members, ratio)
-        verdicts = self._trust.add(judged, seconds, views, withholding(said, ratio))
+        self._heard_s[columns] = t_s
+        present = t_s - self._heard_s < SCENE_S
+        verdicts = self._trust.add(judged, seconds, views, withholding(said, ratio), present)
         self._weights, self._last_s = np.maximum(verdicts.trust, MIN_TRUST), t_s
         # Update the history per track and agent: looks, and surface share and returns at the last report.
         look, surface = min(seconds / LOOK_S, 1.0), said.cells[..., BoxCells._fields.index("surface")]
@@ -243,7 +246,7 @@ class CommandCenter:
         reporters[reported], deniers[reported] = said.seen, said.sees & ~said.seen
         return CommonPicture(
             t_s, self.agents, tuple(reports), tracks, verdicts, self._elevated.copy(), existence, reporters, deniers,
-            said, compared, tuple(tracks.notes),
+            said, compared, (*notes, *tracks.notes),
         )  # fmt: skip
 
     def _columns(self, reports: Sequence[AgentReport]) -> NDArray[np.intp]:
@@ -388,13 +391,42 @@ def match_agents(detections: Sequence[Detections]) -> NDArray[np.int32]:
     return members
 
 
+def _bounded(
+    matches: NDArray[np.int32], reports: Sequence[AgentReport], trust: F64
+) -> tuple[NDArray[np.int32], list[str]]:
+    """Return the matches (J, R) that the tracker can take, and notes of those left out.
+
+    Of the objects that one agent alone reports, those with the most returns are kept, up to an equal part of the tracks
+    for each: so no agent fills the tables of all. If there are still too many, those that are trusted most are kept.
+    """
+    kept, notes, most = np.ones(len(matches), np.bool_), list[str](), MAX_TRACKS // (len(reports) + 1)
+    reporters = matches >= 0
+    is_alone = reporters.sum(axis=1) == 1
+    for k, report in enumerate(reports):
+        alone = np.flatnonzero(is_alone & reporters[:, k])
+        returns = report.in_world.returns[matches[alone, k]]
+        extra = alone[np.argsort(-returns.astype(np.int64), kind="stable")[most:]]
+        kept[extra] = False
+        if len(extra):
+            notes.append(
+                f"{report.agent}: {len(extra)} objects that no other agent reports are left out, of {len(alone)}"
+            )
+    rows = np.flatnonzero(kept)
+    if len(rows) > MAX_DETECTIONS:
+        rows = np.sort(rows[np.argsort(-(reporters[rows] @ trust), kind="stable")[:MAX_DETECTIONS]])
+        notes.append(
+            f"{kept.sum() - MAX_DETECTIONS} objects are left out: at most {MAX_DETECTIONS} are tracked at a time"
+        )
+    return matches[rows], notes
+
+
 def _joint(reports: Sequence[AgentReport], matches: NDArray[np.int32], trust: F64) -> tuple[Detections, F64]:
     """Return one detection per object, and the covariance (J, 2, 2) of its center, weighted by trust.
 
     The box is that of the agent with the most trusted returns, moved to the weighted mean of all centers.
     """
     boxes, best_score = np.zeros((len(matches), 7)), np.full(len(matches), -1.0)
-    kinds, returns = np.zeros(len(matches), np.uint8), np.zeros(len(matches), np.int32)
+    kinds, returns = np.zeros(len(matches), np.uint8), np.zeros(len(matches), np.int64)
     moment, total = np.zeros((len(matches), 2)), np.zeros(len(matches))
     for k, report in enumerate(reports):
         hit, detections = np.flatnonzero(matches[:, k] >= 0), report.in_world
@@ -408,4 +440,5 @@ def _joint(reports: Sequence[AgentReport], matches: NDArray[np.int32], trust: F6
         best_score[hit] = np.maximum(best_score[hit], score)
         returns[hit] += detections.returns[indices]
     boxes[:, :2] = moment / np.maximum(total, 1e-12)[:, None]
-    return Detections(boxes, kinds, returns), np.eye(2) / np.maximum(total, 1e-12)[:, None, None]
+    in_int32 = np.minimum(returns, np.iinfo(np.int32).max).astype(np.int32)
+    return Detections(boxes, kinds, in_int32), np.eye(2) / np.maximum(total, 1e-12)[:, None, None]

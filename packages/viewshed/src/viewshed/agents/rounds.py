@@ -48,6 +48,9 @@ CLOCK_S = 5.0
 MAX_AGENTS = 16
 """Maximum number of agents; more are refused, because the work of a round grows with their square."""
 
+MIN_GRID_M, MAX_GRID_M = 1.0, 10_000.0
+"""Smallest half extent of a view's grid, and largest; places are compared in float32."""
+
 SILENT_S = 10.0
 """An agent silent for this time may lose its place to another; half of its record has faded by then."""
 
@@ -256,6 +259,8 @@ class Rounds:
     _center: CommandCenter | None = field(default=None, repr=False)
     _open: list[_OpenRound] = field(default_factory=list, repr=False)
     _states: dict[str, _AgentState] = field(default_factory=dict, repr=False)
+    # (agent, whether its time went back) of the last reports
+    _recent: deque[tuple[str, bool]] = field(default_factory=lambda: deque(maxlen=2 * MAX_AGENTS), repr=False)
     _now_s: float = field(default=-np.inf, repr=False)
     _last_s: float = field(default=-np.inf, repr=False)
     _last_agents: tuple[str, ...] = field(default=(), repr=False)
@@ -284,10 +289,18 @@ class Rounds:
         if not (np.isfinite(t_s) and np.isfinite(now_s)):
             raise ValueError(f"t_s and arrived_s must be finite, got {t_s} and {now_s}; leave the report out")
         self.notes = []
-        if now_s < self._now_s - 10.0 * self.slop_s:
+        went_back = now_s < self._now_s - 10.0 * self.slop_s
+        self._recent.append((report.agent, went_back))
+        if went_back:
+            # Without times of arrival it may be one clock that is off: a new recording is one for most agents.
+            back = dict(list(self._recent)[-2 * max(len(self._states), 1) :]).values()
+            if arrived_s is None and 2 * sum(back) <= len(back):
+                self.notes.append(f"{report.agent}: its time went back, that of others did not; its report is left out")
+                return self._ended()
             self.notes.append("time went back: the center starts over")
             self._center, self._open, self._states, self._now_s = None, [], {}, -np.inf
             self._last_s, self._last_agents = -np.inf, ()
+            self._recent.clear()
         self._now_s = max(self._now_s, now_s)
         ended = self._ended()
         state = self._place_of(report.agent)
@@ -353,7 +366,10 @@ class Rounds:
 
     def _is_possible(self, t_s: float, now_s: float, report: AgentReport) -> bool:
         """Return whether a vehicle can have the pose of a report; if not, add a note."""
-        problem = self._states[report.agent].kinematics.problem_of(t_s, now_s, report)
+        problem, grid = None, report.estimate.grid
+        if grid.half_extent_m < MIN_GRID_M or max(grid.half_extent_m, *map(abs, grid.offset_m)) > MAX_GRID_M:
+            problem = f"its grid must reach {MIN_GRID_M:g} to {MAX_GRID_M:g} m, got {grid.half_extent_m:g} m"
+        problem = problem or self._states[report.agent].kinematics.problem_of(t_s, now_s, report)
         if problem is not None:
             self.notes.append(f"{report.agent}: {problem}; its report is left out")
         return problem is None

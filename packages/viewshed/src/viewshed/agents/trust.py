@@ -165,6 +165,29 @@ _AT_ONCE = np.array([name in ("opened", "closed") for name in OWN])
 
 
 @dataclass(slots=True)
+class _Means:
+    """Running means of comparisons of views: new values weigh by the time since the last ones, at any rate."""
+
+    values: F64
+    since_s: F64  # since the last comparison
+
+    def add(self, new: F64, seconds: float, rules: TrustRules) -> None:
+        """Add new values, NaN where nothing was compared; what nothing renews for a scene's time fades."""
+        since_s, is_new = self.since_s + seconds, np.isfinite(new)
+        weight = -np.expm1(-np.minimum(since_s, max(seconds, rules.look_s)) / rules.mean_s)
+        kept = np.where(since_s > SCENE_S, 0.5 ** (seconds / rules.half_life_s), 1.0) * self.values
+        self.values = np.where(is_new, self.values + weight * (np.where(is_new, new, 0.0) - self.values), kept)
+        self.since_s = np.where(is_new, 0.0, since_s)
+
+    def regroup(self, kept: Sequence[int]) -> None:
+        """Keep the agents with these numbers, -1 for a new one, along all axes but the last."""
+        axes = self.values.ndim - 1
+        for name in ("values", "since_s"):
+            padded = np.pad(getattr(self, name), [(0, 1)] * axes + [(0, 0)])
+            setattr(self, name, padded[np.ix_(*[kept] * axes)])
+
+
+@dataclass(slots=True)
 class Trust:
     """Tracks the evidence against a group of agents; the module documents the model.
 
@@ -178,18 +201,20 @@ class Trust:
     _lies: Mask = field(init=False, repr=False)
     _share_of_lies: F64 = field(init=False, repr=False)
     _of_objects: dict[int, F64] = field(default_factory=dict, repr=False)
-    _pairs: F64 = field(init=False, repr=False)
-    _own: F64 = field(init=False, repr=False)
+    _pairs: _Means = field(init=False, repr=False)
+    _own: _Means = field(init=False, repr=False)
+    _present: Mask = field(init=False, repr=False)
     _answers: list[tuple[float, F64]] = field(default_factory=list, repr=False)  # (age in seconds, answers)
 
     def __post_init__(self) -> None:
         if self.agents < 1:
             raise ValueError(f"agents must be at least one, got {self.agents}")
         self._follow(self.agents)
-        self._pairs, self._own = np.zeros((self.agents, self.agents, len(PAIR))), np.zeros((self.agents, len(OWN)))
+        pairs, own = (self.agents, self.agents, len(PAIR)), (self.agents, len(OWN))
+        self._pairs, self._own = (_Means(np.zeros(shape), np.zeros(shape)) for shape in (pairs, own))
 
     def _follow(self, agents: int) -> None:
-        self.agents, self._lies = agents, hypotheses(agents)
+        self.agents, self._lies, self._present = agents, hypotheses(agents), np.ones(agents, np.bool_)
         # (L, H, H) probability, under a hypothesis, that exactly the liars of another one lie about an object.
         liars, among = self._lies.sum(axis=1), ~(self._lies[None] & ~self._lies[:, None]).any(axis=2)
         lie = np.array(self.rules.lies)[:, None, None]
@@ -222,14 +247,18 @@ class Trust:
         carried = np.stack(columns, axis=1)
         carried -= carried[:, :1]
         self._of_objects = dict(zip(self._of_objects, carried, strict=True))
-        # kept is -1 for new agents, which selects the padding.
-        self._pairs = np.pad(self._pairs, ((0, 1), (0, 1), (0, 0)))[np.ix_(kept, kept)]
-        self._own = np.pad(self._own, ((0, 1), (0, 0)))[list(kept)]
+        self._pairs.regroup(kept)
+        self._own.regroup(kept)
         no_answers = np.full((1, len(QUESTIONS)), -np.inf)
         self._answers = [(age_s, np.vstack([answers, no_answers])[list(kept)]) for age_s, answers in self._answers]
 
     def add(
-        self, reports: Reports, seconds: float, views: tuple[F64, F64] | None = None, withheld: F64 | None = None
+        self,
+        reports: Reports,
+        seconds: float,
+        views: tuple[F64, F64] | None = None,
+        withheld: F64 | None = None,
+        present: Mask | None = None,
     ) -> Verdicts:
         """Update with the next reports and return the verdicts.
 
@@ -238,6 +267,7 @@ class Trust:
             seconds: since the last reports.
             views: surprises of view comparisons (A, A, 2) and (A, 3), NaN where nothing was compared.
             withheld: evidence (A,) in nats that each agent withholds objects; None is 0.
+            present: (A,) bool, agents that reported lately: at most half of these lie. None is all.
 
         Raises:
             ValueError: the number of agents differs, or ``seconds`` is not positive.
@@ -260,14 +290,11 @@ class Trust:
             evidence[0] = 0.0
             self._of_objects[number] = evidence + logs - logs[0]
         if views is not None:
-            weight_new = -np.expm1(-seconds / self.rules.mean_s)
-            pairs, own = (
-                np.where(np.isfinite(new), new, old) for new, old in zip(views, (self._pairs, self._own), strict=True)
-            )
-            self._pairs = self._pairs + weight_new * (pairs - self._pairs)
-            steady = self._own + weight_new * (own - self._own)
-            at_once = np.maximum(fade * self._own, np.where(np.isfinite(views[1]), views[1], 0.0))
-            self._own = np.where(_AT_ONCE, at_once, steady)
+            at_once = np.maximum(fade * self._own.values, np.where(np.isfinite(views[1]), views[1], 0.0))
+            self._pairs.add(views[0], seconds, self.rules)
+            self._own.add(views[1], seconds, self.rules)
+            self._own.values = np.where(_AT_ONCE, at_once, self._own.values)
+        self._present = np.ones(self.agents, np.bool_) if present is None else present
         self._answers = [(age_s + seconds, answers) for age_s, answers in self._answers if age_s + seconds < SCENE_S]
         return self._verdicts(reports, np.zeros(self.agents) if withheld is None else withheld)
 
@@ -338,9 +365,9 @@ class Trust:
     def _of_views(self) -> tuple[F64, F64]:
         """Return evidence of views against both of two agents (A, A), one agent (diagonal), and per hypothesis (H,)."""
         # A view that opens and closes flickers, as honest ones do: only the difference counts.
-        opened, closed = self._own[:, _AT_ONCE].T
-        own = np.abs(opened - closed) + self._own[:, ~_AT_ONCE].sum(axis=1)
-        against = self._pairs.sum(axis=2)
+        opened, closed = self._own.values[:, _AT_ONCE].T
+        own = np.abs(opened - closed) + self._own.values[:, ~_AT_ONCE].sum(axis=1)
+        against = self._pairs.values.sum(axis=2)
         against = np.triu(against + against.T, 1)
         touched = self._lies[:, :, None] | self._lies[:, None]
         gain = np.where(touched, against, 0.0).sum(axis=(1, 2)) + self._lies @ own
@@ -363,11 +390,14 @@ class Trust:
         of_views = of_views + self._lies @ np.maximum(withheld, 0.0)
         # ... and over the share of objects that liars lie about.
         logs = np.logaddexp.reduce(of_shares, axis=0) - np.log(len(of_shares)) + of_views
-        opened, closed = self._own[:, _AT_ONCE].T
-        others = max(self.agents - 1, 1)
+        # Of those present at most half lie. Agents that left count neither there nor among those that are seen through.
+        logs = np.where(2 * self._lies[:, self._present].sum(axis=1) <= self._present.sum(), logs, -np.inf)
+        own, through = self._own.values, self._pairs.values[..., PAIR.index("through")]
+        opened, closed = own[:, _AT_ONCE].T
+        others = np.maximum(self._present.sum() - self._present, 1)
         answers = np.column_stack([
-            self._evidence(logs - of_views), np.maximum(opened - closed, 0.0), self._own[:, OWN.index("misplaced")],
-            self._pairs[..., PAIR.index("through")].sum(axis=1) / others, withheld,
+            self._evidence(logs - of_views), np.maximum(opened - closed, 0.0), own[:, OWN.index("misplaced")],
+            np.where(self._present, through, 0.0).sum(axis=1) / others, withheld,
         ])  # fmt: skip
         self._answers.append((0.0, answers))
         liars = self._lies.sum(axis=1)
@@ -391,8 +421,9 @@ class Trust:
         """Return per agent the log mean of hypotheses (H,) in which it lies over the best in which it does not."""
         evidence = np.zeros(self.agents)
         for agent, lies in enumerate(self._lies.T):
-            if lies.any():
-                evidence[agent] = _log_mean_exp(logs[lies]) - logs[~lies].max()
+            allowed = lies & np.isfinite(logs)
+            if allowed.any():
+                evidence[agent] = _log_mean_exp(logs[allowed]) - logs[~lies].max()
         return evidence
 
 

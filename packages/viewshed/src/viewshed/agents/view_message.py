@@ -37,6 +37,9 @@ MAX_BYTES = 49_152
 GROUND_NODES = 32
 """Ground heights per side."""
 
+MAX_HEIGHT_M = 30.0
+"""Maximum height of a sensor above the ground; of a higher one, silence says less about near objects."""
+
 MAX_DETECTIONS = 512
 
 MAX_EPOCH = 2**53
@@ -72,8 +75,10 @@ class SensorFacts:
     def __post_init__(self) -> None:
         if not (0 < len(self.name) <= 32 and self.name.isprintable()):
             raise ValueError(f"the name of a sensor must have 1 to 32 printable characters, got {self.name[:40]!r}")
-        if math.isinf(self.height_m) or self.reach_m < 0.0 or math.isinf(self.reach_m):
-            raise ValueError(f"height and reach must be finite or NaN, got {self.height_m} and {self.reach_m}")
+        if self.reach_m < 0.0 or math.isinf(self.reach_m):
+            raise ValueError(f"reach must be finite and not negative, or NaN, got {self.reach_m}")
+        if abs(self.height_m) > MAX_HEIGHT_M:
+            raise ValueError(f"height must be at most {MAX_HEIGHT_M:g} m, or NaN, got {self.height_m}")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -34,6 +34,7 @@ class SweepBuffer:
     forget_s: float = FORGET_S  # older sweeps are not used; agents without a newer sweep are dropped
     agents: int = AGENTS  # maximum number of agents; beyond it the least recently seen agent is dropped
     _kept: dict[str, deque[LeveledSweep]] = field(default_factory=dict, repr=False)
+    _last_ns: dict[str, int] = field(default_factory=dict, repr=False)  # time of each agent's last sweep
 
     def __post_init__(self) -> None:
         if self.sweeps < 1 or not (self.every_s >= 0.0 and self.forget_s > 0.0):
@@ -46,42 +47,50 @@ class SweepBuffer:
 
     def fresh(self) -> SweepBuffer:
         """Return an empty buffer with the same settings."""
-        return replace(self, _kept={})
+        return replace(self, _kept={}, _last_ns={})
 
     def history(self, leveled: LeveledSweep) -> History | None:
-        """Return the history of a sweep from its agent's earlier ones; None if empty, or without pose or time."""
-        now_ns, earlier = leveled.sweep.t_ns, self._kept.get(leveled.sweep.agent, ())
+        """Return the history of a sweep from its agent's earlier ones; None if empty, or without pose or time.
+
+        A sweep older than the last one starts a new stream: the agent's sweeps are dropped first.
+        """
+        now_ns, agent = leveled.sweep.t_ns, leveled.sweep.agent
         if now_ns is None or leveled.world_from_level is None:
             return None
+        if now_ns < self._last_ns.get(agent, now_ns):
+            self.reset(agent)
+        earlier = self._kept.get(agent, ())
         recent = [sweep for sweep in earlier if 0 < now_ns - (sweep.sweep.t_ns or 0) <= self.forget_s * 1e9]
         return History.of(leveled, recent)
 
     def add(self, leveled: LeveledSweep) -> None:
         """Keep a sweep if it has a pose and a time at least ``every_s`` after the last kept sweep of its agent.
 
-        A sweep older than the last kept one starts a new stream: the agent's sweeps are dropped first.
+        A sweep older than the last one starts a new stream: the agent's sweeps are dropped first.
         """
-        t_ns = leveled.sweep.t_ns
+        t_ns, agent = leveled.sweep.t_ns, leveled.sweep.agent
         if t_ns is None or leveled.world_from_level is None:
             return
-        sweeps = self._kept.get(leveled.sweep.agent) or deque(maxlen=self.sweeps)
-        if sweeps and t_ns < (sweeps[-1].sweep.t_ns or 0):
-            sweeps.clear()
+        if t_ns < self._last_ns.get(agent, t_ns):
+            self.reset(agent)
+        remember(self._last_ns, agent, t_ns, self.agents)
+        sweeps = self._kept.get(agent) or deque(maxlen=self.sweeps)
         if not sweeps or t_ns - (sweeps[-1].sweep.t_ns or 0) >= self.every_s * 1e9:
             sweeps.append(leveled)
-        remember(self._kept, leveled.sweep.agent, sweeps, self.agents)
+        remember(self._kept, agent, sweeps, self.agents)
         self.drop_gone(t_ns)
 
     def drop_gone(self, now_ns: int) -> None:
         """Drop the agents whose sweeps are all too old."""
         oldest_ns = now_ns - max(self.forget_s, self.every_s) * 1e9
         for agent in [name for name, sweeps in self._kept.items() if (sweeps[-1].sweep.t_ns or 0) < oldest_ns]:
-            del self._kept[agent]
+            self.reset(agent)
 
     def reset(self, agent: str | None = None) -> None:
         """Drop the sweeps of one agent, or of all agents (None)."""
         for name in [agent] if agent is not None else list(self._kept):
             self._kept.pop(name, None)
+            self._last_ns.pop(name, None)
 
 
 @dataclass(frozen=True, slots=True)

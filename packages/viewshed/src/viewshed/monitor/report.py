@@ -104,7 +104,11 @@ def cells_of_sectors(sectors: Mask, grid: BevGrid) -> Mask:
 
 
 def sector_corners(sectors: Mask, reach_m: float) -> NDArray[np.float64]:
-    """Return the corners (3 K, 2) of a triangle from the sensor for each of K sectors (SECTORS,) bool."""
+    """Return the corners (3 K, 2) of a triangle from the sensor for each of K sectors (SECTORS,) bool.
+
+    >>> sector_corners(np.arange(SECTORS) == SECTORS // 2, 10.0).round(3).tolist()
+    [[0.0, 0.0], [10.0, 0.0], [9.962, 0.872]]
+    """
     step = 2 * np.pi / SECTORS
     start = np.flatnonzero(sectors) * step - np.pi
     ends = [np.column_stack([np.cos(angle), np.sin(angle)]) * reach_m for angle in (start, start + step)]

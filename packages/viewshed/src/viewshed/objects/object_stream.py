@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,6 +54,7 @@ class _Agent:
     fusion: SingleFusion
     tracker: Tracker = field(default_factory=Tracker)
     last_s: float = -PERIOD_S
+    explained: ExplainedTracks | None = None  # after its last sweep
 
 
 class ObjectStream:
@@ -115,8 +116,12 @@ class ObjectStream:
         """
         start_s = self._clock()
         detections, (tracks, moved_detections, views) = self.observe(leveled, estimate, report)
-        # 4. Explain why each track is detected or not.
-        explained = self._agent(leveled.sweep.agent).fusion.explain(tracks, moved_detections, views)
+        # 4. Explain why each track is detected or not; a late sweep, which the tracker leaves out, explains nothing.
+        agent = self._agent(leveled.sweep.agent)
+        if agent.explained is not None and tracks.t_s > agent.last_s:
+            explained = replace(agent.explained, tracks=replace(agent.explained.tracks, notes=tracks.notes))
+        else:
+            explained = agent.explained = agent.fusion.explain(tracks, moved_detections, views)
         pose = leveled.world_from_level or Rigid.identity()
         return SeenObjects(detections, explained, pose, leveled.ground, self._clock() - start_s)
 

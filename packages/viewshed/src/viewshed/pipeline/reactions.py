@@ -174,8 +174,8 @@ class Vehicle:
 VEHICLE = Vehicle()
 
 
-def speed_for_view(estimate: FovEstimate, vehicle: Vehicle = VEHICLE) -> float:
-    """Return the highest speed in m/s from which a vehicle can stop within the free cells ahead, along x of ``level``.
+def speed_for_view(estimate: FovEstimate, vehicle: Vehicle = VEHICLE, heading: float = 0.0) -> float:
+    """Return the highest speed in m/s from which a vehicle can stop within the free cells ahead.
 
     Solves v · delay + v² / (2 · braking) = distance, the assured clear distance ahead: up to the first cell of the lane
     that is not FREE.
@@ -183,27 +183,37 @@ def speed_for_view(estimate: FovEstimate, vehicle: Vehicle = VEHICLE) -> float:
     Args:
         estimate: of the sensor on the vehicle.
         vehicle: its braking model.
+        heading: of the vehicle, radians counter-clockwise from x of ``level``.
     """
     front_m, braking_mps2 = vehicle.front_m, vehicle.braking_mps2
-    lane, near_side_m = _lane(estimate.grid, front_m, vehicle.half_width_m)
-    blocked = (estimate.state[lane] != CellState.FREE).any(axis=1)
-    clear_m = max(float(near_side_m[np.append(blocked, True).argmax()]) - front_m, 0.0)
+    cells, near_side_m, end_m = _lane(estimate.grid, front_m, vehicle.half_width_m, heading)
+    blocked_m = near_side_m[estimate.state.ravel()[cells] != CellState.FREE]
+    clear_m = max(float(blocked_m.min(initial=end_m)) - front_m, 0.0)
     delay_mps = braking_mps2 * vehicle.delay_s
     return float(np.sqrt(delay_mps**2 + 2 * braking_mps2 * clear_m) - delay_mps)
 
 
 @lru_cache(maxsize=16)
-def _lane(grid: BevGrid, front_m: float, half_width_m: float) -> tuple[tuple[slice, slice], NDArray[np.float64]]:
-    """Return the cells that the lane ahead touches, and the near edge (rows + 1,) of each of their rows in meters.
+def _lane(
+    grid: BevGrid, front_m: float, half_width_m: float, heading: float
+) -> tuple[NDArray[np.intp], NDArray[np.float64], float]:
+    """Return the cells (K,) that the lane ahead touches, how far ahead each begins (K,), and where the grid ends it.
 
-    A cell blocks from its near edge on; the last value is the end of the grid. Cells outside the grid are not seen: a
-    lane that is not entirely inside ends at the vehicle's front.
+    Cells outside the grid are not seen: a lane that begins outside ends at the vehicle's front.
     """
-    (x0_m, y0_m), side_m = grid.origin_m, 2 * grid.half_extent_m
-    if x0_m > front_m or y0_m > -half_width_m or y0_m + side_m < half_width_m:
-        return (slice(0), slice(0)), np.array([front_m])
-    x_m, y_m = grid.centers[:, 0, 0], grid.centers[0, :, 1]
-    rows, columns = x_m > front_m, np.abs(y_m) < half_width_m + grid.cell_m / 2
-    begin_x, begin_y = int(rows.argmax()) if rows.any() else len(rows), int(columns.argmax())
-    near_side_m = np.append(x_m[begin_x:] - grid.cell_m / 2, x0_m + side_m)
-    return (slice(begin_x, None), slice(begin_y, begin_y + int(columns.sum()))), near_side_m
+    ahead, left = np.array([np.cos(heading), np.sin(heading)]), np.array([-np.sin(heading), np.cos(heading)])
+    half_cell_m = grid.cell_m / 2 * float(np.abs(ahead).sum())
+    centers = grid.centers.reshape(-1, 2)
+    along_m, across_m = centers @ ahead, centers @ left
+    cells = np.flatnonzero((along_m > front_m) & (np.abs(across_m) < half_width_m + half_cell_m))
+    # Each side of the lane ends at the first border of the grid.
+    low = np.array(grid.origin_m)
+    high, ends_m = low + 2 * grid.half_extent_m, list[float]()
+    for side_m in (-half_width_m, half_width_m):
+        begin = front_m * ahead + side_m * left
+        if ((begin < low) | (begin > high)).any():
+            return cells[:0], along_m[:0], front_m
+        with np.errstate(divide="ignore"):
+            to_border_m = np.where(np.abs(ahead) > 1e-9, (np.where(ahead > 0, high, low) - begin) / ahead, np.inf)
+        ends_m.append(front_m + float(to_border_m.min()))
+    return cells, along_m[cells] - half_cell_m, min(ends_m)

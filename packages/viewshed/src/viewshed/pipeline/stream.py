@@ -483,7 +483,9 @@ class Pipeline:
             certified, notes = self._certified(step.leveled, estimate)
             step = replace(step, notes=(*step.notes, *notes))
         estimate = withdraw(estimate, reaction, confirmed, self._rules, certified, certified_only=self._certified_only)
-        speed_mps = 0.0 if reaction.caution == Caution.STALE else speed_for_view(estimate, self._vehicle)
+        yaw = None if step.leveled is None else step.leveled.sweep.vehicle_yaw
+        is_stale = reaction.caution == Caution.STALE
+        speed_mps = 0.0 if is_stale else speed_for_view(estimate, self._vehicle, yaw or 0.0)
         return replace(step, reaction=reaction, estimate=estimate, speed_mps=speed_mps)
 
     def _certified(self, leveled: LeveledSweep, estimate: FovEstimate) -> tuple[Mask | None, tuple[str, ...]]:
