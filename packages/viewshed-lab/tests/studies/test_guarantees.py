@@ -151,6 +151,19 @@ def test_a_line_that_was_cut_short_is_made_again(tmp_path: Path) -> None:
     assert jobs.lines_of(tmp_path, "costs") == [{"number": number, "a": {}} for number in (0, 1)]
 
 
+def test_results_of_other_sizes_are_refused(tmp_path: Path) -> None:
+    jobs.check_sizes(tmp_path / "one", jobs.SIZES["tiny"])
+    with pytest.raises(ValueError, match=r"one must hold .* got another plan \(certificates 2 there, 65 now, .*--out"):
+        jobs.run_study(tmp_path / "one", jobs.SIZES["full"], print)
+    # Lines of a version that wrote no sizes.
+    (tmp_path / "old").mkdir()
+    jobs._add(tmp_path / "old", "costs", 0, {})
+    with pytest.raises(
+        ValueError, match=r"old must hold .* got those of an unknown plan; give another --out or delete"
+    ):
+        jobs.run_study(tmp_path / "old", jobs.SIZES["full"], print)
+
+
 @pytest.mark.slow
 def test_a_tiny_study(tmp_path: Path) -> None:
     words = ("study", "guarantees", "--preset", "tiny", "--out", tmp_path, "--ship", tmp_path / "conformal.json")
@@ -160,3 +173,5 @@ def test_a_tiny_study(tmp_path: Path) -> None:
     done = jobs.lines_of(tmp_path, "attacks")
     assert run(*words).returncode == 0
     assert jobs.lines_of(tmp_path, "attacks") == done  # nothing is done twice
+    other = run("study", "guarantees", "--preset", "full", "--no-run", "--out", tmp_path)
+    assert (other.returncode, other.stderr.count("\n")) == (2, 1)

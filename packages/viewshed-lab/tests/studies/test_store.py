@@ -33,7 +33,7 @@ def test_finished_jobs_are_there_when_it_is_opened_again(tmp_path: Path) -> None
 @pytest.mark.parametrize("other", [replace(TINY, seed=1), replace(TINY, budgets=("0", "50")), PaperPlan.load("tiny")])
 def test_another_plan_is_refused(tmp_path: Path, other: RobustnessPlan | PaperPlan) -> None:
     ResultStore.open(tmp_path, TINY)
-    with pytest.raises(ValueError, match=r"of this plan and version, got another plan \(.*\); choose"):
+    with pytest.raises(ValueError, match=r"of this plan and version, got another plan \(.*\); give another --out"):
         ResultStore.open(tmp_path, other)
 
 
@@ -43,10 +43,10 @@ HEAD = {"format": 4, "version": "0.3.0", "plan": TINY.to_json()}
 @pytest.mark.parametrize(
     ("head", "complaint"),
     [
-        (HEAD | {"format": 3}, "got another version; choose another folder"),
-        (HEAD | {"version": "0.0.1"}, "got another version; choose another folder"),
-        (7, "got something else; choose another folder"),
-        ("\xff", "got something else; choose another folder"),
+        (HEAD | {"format": 3}, "got another version; give another --out"),
+        (HEAD | {"version": "0.0.1"}, "got another version; give another --out"),
+        (7, "got something else; give another --out"),
+        ("\xff", "got something else; give another --out"),
     ],
 )
 def test_files_of_other_versions_are_refused_and_left_alone(tmp_path: Path, head: object, complaint: str) -> None:

@@ -142,7 +142,7 @@ def monitor(
         typer.echo(line, err=True)
     calibrated = folder / "monitor.npz"
     if run or not calibrated.exists():
-        streams = list(read_streams(folder / "streams", "calibration"))
+        streams = list(read_streams(plan, folder / "streams", "calibration"))
         fitted = Calibration.fit(
             [one.benign for one in streams], plan.hz,
             facts={"per_hour": "6", "streams": f"{len(streams)} simulated, {plan.seconds:g} s each"},
@@ -150,7 +150,7 @@ def monitor(
         save_calibration(fitted, calibrated)
     calibration = load_calibration(calibrated)
     calls = [call for trace in traces or () for call in call_trace(trace, StreamMonitor(calibration))]
-    report, benign = (read_streams(folder / "streams", part) for part in ("report", "benign"))
+    report, benign = (read_streams(plan, folder / "streams", part) for part in ("report", "benign"))
     _show(page or folder, files_of(plan, calibration, report, benign, calls, tried(plan)))
     _require_all_done(failed)
 
@@ -324,7 +324,7 @@ def guarantees(
 ) -> None:
     """Guarantees against over-claiming: certificates, attacks, masks.
 
-    Finished parts do not run again: after a change of the default estimator, give a new --out.
+    Finished parts do not run again: for another preset, or after a change of the default estimator, give a new --out.
 
     Example: viewshed study guarantees --preset tiny --out study
     """
@@ -334,9 +334,11 @@ def guarantees(
 
     if preset not in jobs.SIZES:
         raise ValueError(f"preset must be one of {', '.join(jobs.SIZES)}, got {preset!r}")
-    folder = _folder(out, "guarantees")
+    folder, sizes = _folder(out, "guarantees"), jobs.SIZES[preset]
     if run:
-        jobs.run_study(folder, jobs.SIZES[preset], lambda line: typer.echo(line, err=True))
+        jobs.run_study(folder, sizes, lambda line: typer.echo(line, err=True))
+    elif any(folder.glob("*.jsonl")):
+        jobs.check_sizes(folder, sizes)
     if survey is not None:
         jobs.judge(folder, "survey", partial(survey_of, survey))
     if real is not None:

@@ -48,22 +48,9 @@ class ResultStore(Generic[P]):
             ValueError: the folder holds results of another plan or version.
             OSError: it cannot be read or written.
         """
-        store, path = cls(Path(folder), plan), Path(folder, PLAN)
-        head = {"format": FORMAT, "version": metadata.version("viewshed"), "plan": plan.to_json()}
+        store = cls(Path(folder), plan)
         (store.folder / JOBS).mkdir(parents=True, exist_ok=True)
-        if not path.exists():
-            _files.write_atomic(path, json.dumps(head, indent=1).encode())
-        try:
-            stored = json.loads(path.read_bytes())
-            kind = "another version" if stored != head else ""
-            if stored["plan"] != head["plan"]:
-                kind = f"another plan ({_changes(stored['plan'], plan.to_json())})"
-        except (ValueError, TypeError, KeyError):
-            kind = "something else"
-        if kind:
-            raise ValueError(
-                f"{folder} must hold results of this plan and version, got {kind}; choose another folder or delete it"
-            )
+        bind(store.folder, plan.to_json())
         return store
 
     def path_of(self, key: JobKey) -> Path:
@@ -116,6 +103,40 @@ class ResultStore(Generic[P]):
         """Raise a ValueError if there are no results for a page."""
         if not results.facts:
             raise ValueError(f"{self.folder} must hold results, got none; run without --no-run")
+
+
+def bind(folder: Path, plan: Mapping[str, Any], unbound: str = "") -> None:
+    """Write a plan and the version into a folder, or check that it holds these.
+
+    Args:
+        folder: holds the results of the plan; it is created if there is none.
+        plan: plain values, those of JSON.
+        unbound: pattern of results that are refused in a folder without a plan; an older version wrote them.
+
+    Raises:
+        ValueError: the folder holds results of another plan or version.
+        OSError: it cannot be read or written.
+    """
+    path, kind = folder / PLAN, ""
+    head = {"format": FORMAT, "version": metadata.version("viewshed"), "plan": plan}
+    folder.mkdir(parents=True, exist_ok=True)
+    if not path.exists():
+        if unbound and any(folder.glob(unbound)):
+            kind = "those of an unknown plan"
+        else:
+            _files.write_atomic(path, json.dumps(head, indent=1).encode())
+    if not kind:
+        try:
+            stored = json.loads(path.read_bytes())
+            kind = "another version" if stored != head else ""
+            if stored["plan"] != plan:
+                kind = f"another plan ({_changes(stored['plan'], plan)})"
+        except (ValueError, TypeError, KeyError):
+            kind = "something else"
+    if kind:
+        raise ValueError(
+            f"{folder} must hold results of this plan and version, got {kind}; give another --out or delete it"
+        )
 
 
 def _changes(before: Mapping[str, Any], now: Mapping[str, Any]) -> str:

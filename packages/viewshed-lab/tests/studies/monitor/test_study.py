@@ -15,11 +15,20 @@ from viewshed.monitor import Calibration, StreamMonitor
 from viewshed.monitor.evidence import EVIDENCE, SECTORS
 from viewshed.preprocess.leveling import level
 from viewshed.sensors import LidarModel
+from viewshed_lab._jobs import LocalEngine
 from viewshed_lab.studies.monitor.page import _exceeded, files_of, judge, rate_interval, trace_page
 from viewshed_lab.studies.monitor.plan import MonitorPlan
-from viewshed_lab.studies.monitor.streams import ATTACKED_SWEEPS, Stream, StreamEvidence, measure_stream
+from viewshed_lab.studies.monitor.streams import (
+    ATTACKED_SWEEPS,
+    Stream,
+    StreamEvidence,
+    measure_stream,
+    read_streams,
+    run_streams,
+)
 from viewshed_lab.studies.monitor.traces import call_trace
 from viewshed_lab.studies.monitor.tried import mixed_pixels, tried
+from viewshed_lab.studies.store import bind
 
 PLAN = replace(
     MonitorPlan.load("shipped"), seconds=3.0, attack_every_s=1.2, attacks=("blinded", "pose_spoof"),
@@ -62,6 +71,27 @@ def test_a_stream_is_measured_attacked_judged_and_kept(tmp_path: Path) -> None:
     assert area is not None
     assert f"| onset AUROC by style |  | {area[1]} to {area[1]} |" in text
     assert "| removal | 3 | 0.50 | 0.00 |" in text
+
+
+def test_only_streams_of_the_plan_are_read_and_another_plan_is_refused(tmp_path: Path) -> None:
+    plan, none = MonitorPlan.load("tiny"), np.zeros((0, len(EVIDENCE), SECTORS), np.float32)
+
+    def made(name: str) -> None:
+        one = StreamEvidence(name, "rooms", {}, none, (), none[:, None], np.zeros(0, np.bool_), {})
+        one.save(tmp_path / f"{name}.npz")
+
+    made("calibration-rooms-00")
+    with pytest.raises(ValueError, match="got those of an unknown plan; give another --out or delete it"):
+        list(read_streams(plan, tmp_path, "calibration"))
+    (tmp_path / "calibration-rooms-00.npz").unlink()
+    small = replace(plan, calibration_streams=1, calibration=("rooms",), report=("hall",), benign_streams=0)
+    bind(tmp_path, small.to_json())
+    for name in ("calibration-rooms-00", "calibration-rooms-01", "calibration-street-00"):
+        made(name)
+    assert [one.name for one in read_streams(small, tmp_path, "calibration")] == ["calibration-rooms-00"]
+    for refused in (read_streams(plan, tmp_path, "report"), run_streams(plan, tmp_path, LocalEngine(1))):
+        with pytest.raises(ValueError, match=r"got another plan \(calibration .*; give another --out or delete it"):
+            list(refused)
 
 
 def test_groups_with_more_alarms_than_their_limit_is_for_are_named() -> None:

@@ -37,6 +37,7 @@ from viewshed_lab.studies.guarantees.scenes import (
     own_scene,
     wild_scene,
 )
+from viewshed_lab.studies.store import bind
 
 TARGETS = ("car", "pedestrian")
 
@@ -73,8 +74,12 @@ SIZES = {
 
 
 def run_study(folder: Path, sizes: Sizes, on_line: Callable[[str], None]) -> None:
-    """Run the unfinished jobs."""
-    folder.mkdir(parents=True, exist_ok=True)
+    """Run the unfinished jobs.
+
+    Raises:
+        ValueError: the folder holds results of other sizes or of another version.
+    """
+    check_sizes(folder, sizes)
     for number in _left(folder, "certificates", sizes.certificates, on_line):
         _add(folder, "certificates", number, certificates_of(own_scene("certificates", number)))
     for number in _left(folder, "broken", sizes.broken, on_line):
@@ -113,6 +118,11 @@ def run_study(folder: Path, sizes: Sizes, on_line: Callable[[str], None]) -> Non
             for monitor, drive in drives_left(number, case, drives_of(driven, number, case)):
                 _add(folder, "driving", number, {"case": case, "monitor": monitor, **asdict(drive)})
         on_line(f"driving: {number + 1} of {sizes.drives} each")
+
+
+def check_sizes(folder: Path, sizes: Sizes) -> None:
+    """Write the sizes into the folder of a study; raise a ValueError if its results are of others or older."""
+    bind(folder, asdict(sizes), "*.jsonl")
 
 
 def judge(folder: Path, part: str, of: Callable[[dict[str, tuple[Calibration, float]]], list[Line]]) -> None:

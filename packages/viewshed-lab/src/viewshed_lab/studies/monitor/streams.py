@@ -33,6 +33,7 @@ from viewshed_lab.sim.observe import Setting, measure_sweep
 from viewshed_lab.sim.world import Agent, AgentPlan, World
 from viewshed_lab.sim.worlds import WORLDS
 from viewshed_lab.studies.monitor.plan import MonitorPlan
+from viewshed_lab.studies.store import bind
 from viewshed_lab.threats.attacks import ATTACKS, Attack, Knowledge
 from viewshed_lab.threats.corruptions import CORRUPTIONS
 
@@ -355,10 +356,12 @@ def run_streams(
 
     Yields:
         A line for each failed stream.
+
+    Raises:
+        ValueError: the folder holds streams of another plan or version.
     """
-    folder.mkdir(parents=True, exist_ok=True)
-    streams = (Stream(plan, part, style, int(number)) for part, style, number in plan.job_keys())
-    jobs = [(one, path) for one in streams if not (path := folder / f"{one.name}.npz").exists()]
+    bind(folder, plan.to_json(), "*.npz")
+    jobs = [(one, path) for one in _streams(plan) if not (path := _path_of(folder, one)).exists()]
     for done in engine.run(_measure_and_save, jobs):
         name = jobs[done.index][0].name
         if done.error is None:
@@ -372,6 +375,21 @@ def _measure_and_save(job: tuple[Stream, Path]) -> None:
     measure_stream(stream).save(path)
 
 
-def read_streams(folder: Path, part: str) -> Iterator[StreamEvidence]:
-    """Yield the streams of a part in a folder, in the order of their names."""
-    yield from (StreamEvidence.load(path) for path in sorted(folder.glob(f"{part}-*.npz")))
+def read_streams(plan: MonitorPlan, folder: Path, part: str) -> Iterator[StreamEvidence]:
+    """Yield the measured streams of a part of a plan, in the order of their names.
+
+    Raises:
+        ValueError: the folder holds streams of another plan or version.
+    """
+    if any(folder.glob("*.npz")):
+        bind(folder, plan.to_json(), "*.npz")
+    paths = sorted(_path_of(folder, one) for one in _streams(plan) if one.part == part)
+    yield from (StreamEvidence.load(path) for path in paths if path.exists())
+
+
+def _streams(plan: MonitorPlan) -> Iterator[Stream]:
+    return (Stream(plan, part, style, int(number)) for part, style, number in plan.job_keys())
+
+
+def _path_of(folder: Path, stream: Stream) -> Path:
+    return folder / f"{stream.name}.npz"
