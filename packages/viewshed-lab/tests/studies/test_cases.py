@@ -1,10 +1,12 @@
 """What a study runs: plans, cases and their order of strength."""
 
 from dataclasses import replace
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
 
+from viewshed_lab.studies import samples
 from viewshed_lab.studies.cases import apply, case_generator
 from viewshed_lab.studies.records import BENIGN, Case
 from viewshed_lab.studies.robustness.plan import PARTS, RobustnessPlan
@@ -79,6 +81,18 @@ def test_earlier_sweeps_are_of_the_same_sensor_and_before() -> None:
         befores = [now_ns - earlier.t_ns for earlier in sample.earlier if earlier.t_ns is not None]
         assert befores == pytest.approx([2e9, 0.5e9])
         assert {earlier.agent for earlier in sample.earlier} == {sample.sweep.agent}
+
+
+def test_each_kind_of_world_is_sampled_over_its_whole_scene(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(samples, "simulate_frame", Mock())
+    shares: dict[str, list[float]] = {}
+    for number in range(200):
+        scene, frame = samples.sample_of("nuscenes", number, 200, 7).frame or pytest.fail("a sample is simulated")
+        shares.setdefault(scene.world_kind, []).append(frame / scene.frames)
+    assert len(shares) > 1
+    for kind, of in shares.items():
+        # The first two seconds of 20 s are left for the earlier sweeps.
+        assert np.histogram(of, 4, (0.1, 1.0))[0].min() >= 0.15 * len(of), kind
 
 
 def test_few_samples_meet_attackers_who_ask_and_they_are_spread_evenly() -> None:

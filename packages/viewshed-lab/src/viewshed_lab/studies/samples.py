@@ -20,7 +20,11 @@ from viewshed_lab.data.simulated import ScenePlan, simulate_frame
 BEFORE_S = (2.0, 0.5)
 """Ages of the earlier sweeps, relative to the sweep."""
 
-_GOLDEN = (5**0.5 - 1) / 2
+_TIME_STEP = 2 ** (1 / 3)
+"""Multiples of it modulo 1 are the shares of a scene before its sample.
+
+Scenes take kind of world, weather and sensor from multiples of other irrational numbers: each is sampled at all times.
+"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,7 +62,7 @@ def sample_of(domain: str, number: int, count: int, seed: int) -> StudySample:
     steps = [max(round(before_s / preset.interval_s), 1) for before_s in BEFORE_S]
     times = scene.frames // preset.agents
     first = min(max(steps), times - 1)
-    time = first + int(number * _GOLDEN % 1.0 * (times - first))
+    time = first + int(number * _TIME_STEP % 1.0 * (times - first))
     agent = number % preset.agents
     earlier = tuple(
         simulate_frame(scene, (time - step) * preset.agents + agent).sweep for step in steps if step <= time
