@@ -26,7 +26,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import torch
-from fit_no_return import descend, make_files, parser_of, parts_in, write_part
+from fit_no_return import descend, held_back, make_files, parser_of, parts_in, write_part
 from torch import nn
 from torch.nn import functional
 
@@ -72,7 +72,6 @@ FAR_M = 64.0
 """Range beyond which only the corners of the road grid lie."""
 
 CELLS_OF_SWEEP, BATCH, RATE, DECAY, UNITS = 400, 4096, 8e-3, 0.05, 16
-HELD_SHARE = 0.12
 MAX_SWEEP_DEVIATIONS = 2.0
 """Limit at which standardized features of the sweep are clipped, as in the core."""
 
@@ -85,7 +84,7 @@ def make_file(folder: Path, scenes: list[WildScene]) -> None:
     path = folder / f"{scenes[0].name.rsplit('-', 1)[0]}-{len(scenes)}.npz"
     if path.exists():
         return
-    features, visible = [], []
+    features, visible, numbers = [], [], []
     for scene in scenes:
         for number in range(scene.domain.sweeps):
             seen, rng = scene.observe(number), scene.rng(101, number)
@@ -99,7 +98,9 @@ def make_file(folder: Path, scenes: list[WildScene]) -> None:
                     maps = cell_features(leveled, beam_evidence(leveled, grid, target))
                     features.append(maps.reshape(len(maps), -1)[:, sampled].T)
                     visible.append(seen.truth.visible(target).ravel()[sampled])
-    write_part(path, feature=np.concatenate(features), visible=np.concatenate(visible))
+                    numbers.append(np.full(len(sampled), scene.number))
+    columns = (np.concatenate(column) for column in (features, visible, numbers))
+    write_part(path, **dict(zip(("feature", "visible", "scene"), columns, strict=True)))
 
 
 class CalibrationNet(nn.Module):
@@ -143,7 +144,7 @@ def fit(given: argparse.Namespace) -> None:
     feature = torch.tensor(np.concatenate([file["feature"] for file in files]))
     visible = torch.tensor(np.concatenate([file["visible"] for file in files]).astype(np.float32))
     sizes = [len(file["visible"]) for file in files]
-    held = torch.tensor(np.concatenate([np.arange(size) >= (1 - HELD_SHARE) * size for size in sizes]))
+    held = torch.tensor(np.concatenate([held_back(file["scene"]) for file in files]))
     # Weight each domain of each set equally.
     parts = ["-".join(path.name.split("-")[:2]) for path in paths]
     cells = {part: sum(size for size, of in zip(sizes, parts, strict=True) if of == part) for part in parts}

@@ -12,6 +12,7 @@ validation, and writes the network as C++, which is compiled into the core. The 
 from __future__ import annotations
 
 import argparse
+import math
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -51,7 +52,7 @@ def make_file(folder: Path, scenes: list[WildScene]) -> None:
     if path.exists():
         return
     rows: list[Samples] = []
-    clean = []
+    clean, numbers = [], []
     for scene in scenes:
         if scene.drawn_mounting().family.frame == "base":
             continue
@@ -81,10 +82,12 @@ def make_file(folder: Path, scenes: list[WildScene]) -> None:
                     Samples(samples.feature[picked], samples.stop[picked], samples.end[picked], samples.beams[picked])
                 )
                 clean.append(np.full(len(picked), is_clean))
+                numbers.append(np.full(len(picked), scene.number))
     if not rows:
         return
     columns = (np.concatenate(column) for column in zip(*rows, strict=True))
-    write_part(path, clean=np.concatenate(clean), **dict(zip(Samples._fields, columns, strict=True)))
+    named = dict(zip(Samples._fields, columns, strict=True))
+    write_part(path, clean=np.concatenate(clean), scene=np.concatenate(numbers), **named)
 
 
 def write_part(path: Path, **columns: NDArray[Any]) -> None:
@@ -98,6 +101,12 @@ def write_part(path: Path, **columns: NDArray[Any]) -> None:
 def parts_in(folder: Path) -> list[Path]:
     """Return the files of a folder, in order."""
     return [path for path in sorted(folder.glob("*-[0-9]*.npz")) if ".part" not in path.name]
+
+
+def held_back(scene: NDArray[np.int64]) -> Mask:
+    """Return the mask (K,) of the rows of the last scenes of a file, at least ``HELD_SHARE`` of its scenes."""
+    scenes = np.unique(scene)
+    return np.isin(scene, scenes[-math.ceil(HELD_SHARE * len(scenes)) :])
 
 
 def without_absorbed(leveled: LeveledSweep, rng: np.random.Generator) -> Mask:
@@ -184,7 +193,7 @@ def fit(arguments: argparse.Namespace) -> None:
     """Fit a network to all samples of a folder, and write it."""
     files = [np.load(path) for path in parts_in(arguments.folder)]
     columns = {name: np.concatenate([file[name] for file in files]) for name in Samples._fields}
-    held = np.concatenate([np.arange(len(file["end"])) >= (1 - HELD_SHARE) * len(file["end"]) for file in files])
+    held = np.concatenate([held_back(file["scene"]) for file in files])
     tensors = {name: torch.tensor(column.astype(np.float32)) for name, column in columns.items()}
     clean = np.concatenate([file["clean"] for file in files])
     weight = torch.tensor(np.where(clean, CLEAN_SHARE / clean.mean(), (1 - CLEAN_SHARE) / (~clean).mean())[~held])

@@ -2,6 +2,7 @@
 
 import numpy as np
 import torch
+from fit_no_return import held_back
 
 from viewshed.preprocess.leveling import level
 from viewshed_lab.data.wild import wild_scenes
@@ -55,3 +56,10 @@ def test_the_source_for_the_core_holds_the_network() -> None:
     assert list(back) == list(arrays)
     for name, array in arrays.items():
         assert np.array_equal(back[name], array)
+
+
+def test_whole_scenes_are_held_back() -> None:
+    # Two of ten scenes; the last ones have few rows.
+    scene = np.repeat(np.arange(20, 30), [5, 9, 4, 7, 8, 6, 5, 9, 2, 1])
+    assert set(scene[held_back(scene)]) == {28, 29}
+    assert not set(scene[~held_back(scene)]) & {28, 29}
