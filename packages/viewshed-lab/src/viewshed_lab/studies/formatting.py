@@ -64,10 +64,10 @@ def mean(rates: Iterable[float]) -> float:
 
 
 def format_interval(rate: float, bounds: tuple[float, float]) -> str:
-    """Return a rate with its interval in brackets.
+    """Return a rate with its interval in brackets; dashes without an interval.
 
-    >>> format_interval(0.5, (0.4, 0.61))
-    '.500 [.400, .610]'
+    >>> format_interval(0.5, (0.4, 0.61)), format_interval(0.5, (float("nan"), float("nan")))
+    ('.500 [.400, .610]', '.500 [–, –]')
     """
     return f"{format_rate(rate)} [{format_rate(bounds[0])}, {format_rate(bounds[1])}]"
 

@@ -14,6 +14,7 @@ Measure = Callable[[F64], F64]
 DRAWS = 1000  # bootstrap samples
 
 NO_INTERVAL = (float("nan"), float("nan"))
+"""The interval of fewer than two scenes, which cannot be resampled."""
 
 
 def precision(counts: F64) -> F64:
@@ -38,13 +39,17 @@ def _rate(part: F64, whole: F64) -> F64:
 def bootstrap(cases: Iterable[tuple[F64, Sequence[str]]], measure: Measure) -> tuple[float, float]:
     """Return the 95 % interval of the mean over cases of a pooled measure, by a bootstrap over scenes.
 
-    Scenes are resampled with all their sweeps; cases with equally many scenes share the same random samples.
+    Scenes are resampled with all their sweeps; cases with equally many scenes share the same random samples. If a case
+    has one scene, the result is ``NO_INTERVAL``.
 
     Args:
         cases: counts (S, 4) of the sweeps of each case, and their scenes (S,).
         measure: maps pooled counts to a figure.
     """
-    means = [measure(_resampled(counts, scenes)) for counts, scenes in cases if len(counts)]
+    cases = [(counts, scenes) for counts, scenes in cases if len(counts)]
+    if any(len(set(scenes)) < 2 for _, scenes in cases):
+        return NO_INTERVAL
+    means = [measure(_resampled(counts, scenes)) for counts, scenes in cases]
     mean = np.mean(means, axis=0) if means else np.array(np.nan)
     if np.isnan(mean).all():
         return NO_INTERVAL
