@@ -163,6 +163,15 @@ def test_stone_soup_confirms_follows_and_drops() -> None:
 def test_ratios_are_of_the_same_drives() -> None:
     """By hand: ours is 20 % better on each drive, however the drives differ: no doubt is left about the ratio."""
     theirs = np.array([1.0, 9.0, 4.0, 2.0])
-    assert _ratio_of_drives(0.8 * theirs, theirs) == pytest.approx((0.8, 0.8, 0.8))
-    ratio, low, high = _ratio_of_drives(theirs[::-1], theirs)
+    assert _ratio_of_drives(0.8 * theirs, theirs, list("abcd")) == pytest.approx((0.8, 0.8, 0.8))
+    ratio, low, high = _ratio_of_drives(theirs[::-1], theirs, list("abcd"))
     assert low < ratio == 1.0 < high
+
+
+def test_intervals_of_ratios_draw_worlds_with_all_their_drives() -> None:
+    """By hand: two worlds with ratios of 1/2 and 3/2; each alone has a chance of 1/4, and one world has no interval."""
+    ours, theirs = np.array([1.0, 3.0] * 3), np.full(6, 2.0)
+    assert _ratio_of_drives(ours, theirs, list("ababab")) == pytest.approx((1.0, 0.5, 1.5))
+    assert _ratio_of_drives(ours, theirs, list("aaaaaa")) == pytest.approx((1.0, np.nan, np.nan), nan_ok=True)
+    of_number = [TINY.scene(("test", sensor, "clear", "0")).preset.seed for sensor in ("hdl32e", "os1_64")]
+    assert of_number[0] == of_number[1] != TINY.scene(("test", "hdl32e", "clear", "1")).preset.seed

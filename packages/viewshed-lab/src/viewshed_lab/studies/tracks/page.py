@@ -15,6 +15,7 @@ from viewshed_lab._page import facts
 from viewshed_lab.studies.formatting import by_name, commits, format_interval, format_number, format_rate, pivot
 from viewshed_lab.studies.pages import Table, fill_template
 from viewshed_lab.studies.plan import JobKey
+from viewshed_lab.studies.statistics import NO_INTERVAL
 from viewshed_lab.studies.store import ResultStore
 from viewshed_lab.studies.tracks.evaluate import RANGE_M, SURE, WITHIN_S
 from viewshed_lab.studies.tracks.jobs import STONE_SOUP
@@ -34,7 +35,7 @@ FAMILIES = {"fabricate": "ghosts", "remove": "removed", "translate": "moved", "s
 """Kinds of forged objects by family of attacks."""
 
 _DRAWS, _SEED = 2000, 35
-"""Number of bootstrap samples of drives for an interval, and their seed."""
+"""Number of bootstrap samples of worlds for an interval, and their seed."""
 
 Outcomes = Sequence[Mapping[str, Any]]
 
@@ -57,7 +58,7 @@ class TracksResults:
         return [one for name in names for one in self.outcomes(MAIN, name)]
 
     def target_table(self) -> Table:
-        """Return the table of targets and reached figures; ratios of GOSPA have 95 % intervals over drives."""
+        """Return the table of targets and reached figures; ratios of GOSPA have 95 % intervals over worlds."""
         rows = []
         for (what, sign, target), value in zip(TARGETS, self._reached(), strict=True):
             figure, bounds = (value[0], value[1:]) if isinstance(value, tuple) else (value, None)
@@ -69,16 +70,16 @@ class TracksResults:
     def _reached(self) -> list[float | tuple[float, float, float]]:
         """Return the figures of ``TARGETS``; NaN without results."""
         ours = np.array([one["gospa_m"][0] for one in self.outcomes(MAIN)])
-        ratios = []
+        worlds, ratios = [key[3] for key in self.drives], []
         for fov in ("published", "polygon", "none"):
             theirs = np.array([one["gospa_m"][0] for one in self.outcomes(fov)])
-            ratios.append(_ratio_of_drives(ours, theirs))
+            ratios.append(_ratio_of_drives(ours, theirs, worlds))
         attacked = [one for family in ("fabricate", "remove", "translate") for one in self.family(family)]
         benign, removed = self.outcomes(MAIN), _forged(self.family("remove"), "removed")
         dropped = [_share(self.outcomes(fov), "occluded") for fov in (MAIN, "published")]
         lidar = [one for attack in self.plan.lidar_attacks for one in self._lidar(attack, MAIN)]
         return [
-            _ratio_of_drives(ours, self._stone_soup()), *ratios,
+            _ratio_of_drives(ours, self._stone_soup(), worlds), *ratios,
             dropped[0] / dropped[1] if dropped[1] > 0.0 else np.nan,
             _ratio(attacked),
             _share(benign, "honest"),
@@ -185,13 +186,23 @@ TARGETS: tuple[tuple[str, str, float], ...] = (
 _MET = {True: "met", False: "missed"}
 
 
-def _ratio_of_drives(ours: NDArray[np.float64], theirs: NDArray[np.float64]) -> tuple[float, float, float]:
-    """Return the ratio of the means of two trackers (D,) on the same drives, with its 95 % interval over drives."""
+def _ratio_of_drives(
+    ours: NDArray[np.float64], theirs: NDArray[np.float64], worlds: Sequence[str]
+) -> tuple[float, float, float]:
+    """Return the ratio of the means of two trackers (D,) on the same drives, with its 95 % interval over worlds (D,).
+
+    Worlds are resampled with all their drives; one world has no interval.
+    """
     if not len(theirs):
-        return np.nan, np.nan, np.nan
-    sampled = np.random.default_rng(_SEED).integers(len(ours), size=(_DRAWS, len(ours)))
-    low, high = np.quantile(ours[sampled].mean(axis=1) / theirs[sampled].mean(axis=1), (0.025, 0.975))
-    return float(ours.mean() / theirs.mean()), float(low), float(high)
+        return np.nan, *NO_INTERVAL
+    ratio, world_of = float(ours.mean() / theirs.mean()), np.unique(worlds, return_inverse=True)[1]
+    sums = [np.bincount(world_of, distances_m) for distances_m in (ours, theirs)]
+    count = len(sums[0])
+    if count < 2:
+        return ratio, *NO_INTERVAL
+    sampled = np.random.default_rng(_SEED).integers(count, size=(_DRAWS, count))
+    low, high = np.quantile(sums[0][sampled].sum(axis=1) / sums[1][sampled].sum(axis=1), (0.025, 0.975))
+    return ratio, float(low), float(high)
 
 
 def _forged(outcomes: Outcomes, kind: str, min_visible: float = SURE) -> pd.DataFrame:

@@ -88,7 +88,7 @@ class TracksPlan(Plan):
         return tested if step == "test" else [(*drive, attack) for attack in self.lidar_attacks for drive in tested]
 
     def scene(self, key: JobKey) -> ScenePlan:
-        """Return the scene of a drive; each drive has its own world."""
+        """Return the scene of a drive; drives of one number in ``test`` and ``lidar`` share their world."""
         step, sensor, weather, number = key[:4]
         first = {"count": 0, "limit": self.count}.get(step, self.count + self.limit)
         place = first + int(number)
