@@ -1,7 +1,8 @@
 """Engines: run one function over many jobs, in processes of this machine or on a Ray cluster, with the same results.
 
 A job contains everything that its work needs (seeds, location, number), so results do not depend on the engine, the
-number of workers or the order. To add an engine, write a class and add a line to :data:`ENGINES`.
+number of workers or the order. The last digits of a training depend on its number of threads. To add an engine, write a
+class and add a line to :data:`ENGINES`.
 """
 
 from __future__ import annotations

@@ -59,7 +59,9 @@ def run_jobs(
 ) -> Iterator[str]:
     """Run the jobs that are not in the store; yield one line for each failed job as it happens.
 
-    The stored results do not depend on the engine or on the number of workers.
+    The stored results do not depend on the engine or on the number of workers, except those of trainings: torch sums in
+    another order for each number of threads, so their last digits differ. One local worker has all threads of the
+    process, others have one each.
 
     Args:
         store: receives the results.

@@ -38,7 +38,7 @@ _LIMITS: dict[str, tuple[float, float]] = {
 
 @dataclass(frozen=True, slots=True)
 class TrainConfig:
-    """Settings of a training. The same config gives the same weights on the same machine.
+    """Settings of a training. The same config gives the same weights on the same machine with as many threads.
 
     Raises:
         ValueError: a name is unknown or a number is out of range.
