@@ -6,7 +6,8 @@ A name in ``ATTACKS`` forges sweeps before they are processed, one in ``OBJECT_A
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,8 @@ from viewshed.preprocess.leveling import LeveledSweep
 from viewshed.sweep import Sweep
 from viewshed_lab._config import one_of
 from viewshed_lab.threats.attacks import ATTACKS, Attack, Knowledge
+from viewshed_lab.threats.attacks.points import Cluster, Frustum, Uniform
+from viewshed_lab.threats.attacks.replay import PoseSpoof
 from viewshed_lab.threats.object_attacks import OBJECT_ATTACKS, RunningAttack
 from viewshed_lab.threats.view_attacks import VIEW_LIES, ViewLie
 
@@ -28,15 +31,23 @@ VIEWS_KEPT = 50
 """Number of honest views that are kept per agent, for the lie ``stale``."""
 
 
+_PLACED_BY_SEED = (Uniform, Cluster, Frustum, PoseSpoof)
+"""Attacks that draw more of their place than an azimuth."""
+
+
 @dataclass(slots=True)
 class _Victim:
-    """State of one agent: times of its first and last message, and its honest sweeps and views."""
+    """State of one agent: times of its first and last message, its honest sweeps and views, and the running attack."""
 
     first_s: float
     last_s: float
     earlier: list[Sweep] = field(default_factory=list)
     views: list[FovEstimate] = field(default_factory=list)
     objects: RunningAttack | None = None
+    # attacks on its sweeps: number of the period between resets, its sweeps forged so far, azimuth of the attack in it
+    period: int = -1
+    forged: int = 0
+    azimuth: float | None = None
 
 
 @dataclass(slots=True)
@@ -96,10 +107,22 @@ class Adversary:
         if not self._is_on(victim):
             victim.earlier = [*victim.earlier, sweep][-SWEEPS_KEPT:]
             return sweep
-        # The same seed until the next reset: the attack stays at its place.
         period = int((victim.last_s - victim.first_s - self.start_s) / self.reset_s)
-        attack: Attack = ATTACKS[self.attack](knowledge=Knowledge(earlier=tuple(victim.earlier)))
-        forged = attack.apply(sweep, np.random.default_rng([self.seed, period])).sweep
+        if period != victim.period:
+            victim.period, victim.forged, victim.azimuth = period, 0, None
+        # Until the next reset the attack keeps its azimuth, and draws new noise for each sweep. One that draws more of
+        # its place keeps its seed, and so its noise.
+        attack: Any = ATTACKS[self.attack](knowledge=Knowledge(earlier=tuple(victim.earlier)))
+        seed, is_aimed = [self.seed, period], not isinstance(attack, _PLACED_BY_SEED)
+        if is_aimed and attack.azimuth is None:
+            attack = replace(attack, azimuth=victim.azimuth)
+        if is_aimed and attack.azimuth is not None:
+            seed.append(victim.forged)
+        tampered = cast(Attack, attack).apply(sweep, np.random.default_rng(seed))
+        if is_aimed and tampered.wedge is not None:
+            victim.azimuth = tampered.wedge.azimuth
+        victim.forged += 1
+        forged = tampered.sweep
         return forged if forged.agent == sweep.agent else forged.replace(agent=sweep.agent)
 
     def detections(self, leveled: LeveledSweep, detections: Detections) -> Detections:
