@@ -22,12 +22,13 @@ struct Box {
     double left, right, bottom, top;
 };
 
-// Set to 0 the wedges that enter a box containing or touching the apex.
-void close_towards(const Box& box, View1<double> ranges) {
+// Set to 0 the wedges that enter a box containing or touching the apex; sides within `tolerance` of it touch it.
+void close_towards(const Box& box, double tolerance, View1<double> ranges) {
     const double step = 2.0 * PI64 / double(ranges.size);
     for (std::size_t k = 0; k < ranges.size; ++k) {
         const double c = std::cos((double(k) + 0.5) * step), s = std::sin((double(k) + 0.5) * step);
-        if ((box.left < 0 || c > 0) && (box.right > 0 || c < 0) && (box.bottom < 0 || s > 0) && (box.top > 0 || s < 0)) {
+        if ((box.left < -tolerance || c > 0) && (box.right > tolerance || c < 0) && (box.bottom < -tolerance || s > 0) &&
+            (box.top > tolerance || s < 0)) {
             ranges[k] = 0.0;
         }
     }
@@ -196,6 +197,7 @@ void find_free_ranges(View2<const bool> mask, const SquareGrid& grid, PlanePoint
     };
     const double side_m = double(cells) * grid.cell_m, right = apex.x - grid.x_m, up = apex.y - grid.y_m;
     const bool is_on_grid = right >= 0.0 && right <= side_m && up >= 0.0 && up <= side_m;
+    const double tolerance = 1e-9 * grid.cell_m;  // where cell_m is not exact in binary, sides at the apex are off
     std::fill(ranges.begin(), ranges.end(), is_on_grid ? FAR : 0.0);
     for (std::int64_t i = -1; i <= cells; ++i) {
         for (std::int64_t j = -1; j <= cells; ++j) {
@@ -203,14 +205,15 @@ void find_free_ranges(View2<const bool> mask, const SquareGrid& grid, PlanePoint
             const double x = grid.x_m + (double(i) + 0.5) * grid.cell_m - apex.x;
             const double y = grid.y_m + (double(j) + 0.5) * grid.cell_m - apex.y;
             const Box box{x - half_m, x + half_m, y - half_m, y + half_m};
-            if (box.left <= 0.0 && 0.0 <= box.right && box.bottom <= 0.0 && 0.0 <= box.top) {
-                close_towards(box, ranges);
+            if (std::max(box.left, box.bottom) <= tolerance && std::min(box.right, box.top) >= -tolerance) {
+                close_towards(box, tolerance, ranges);
             } else if (!is_solid || is_true(i - 1, j) || is_true(i + 1, j) || is_true(i, j - 1) || is_true(i, j + 1)) {
                 limit_by_face(box.left, box.right, box.bottom, box.top, 0.0, ranges);
                 limit_by_face(box.bottom, box.top, -box.right, -box.left, 0.5 * PI64, ranges);
             }
         }
     }
+    if (is_solid) std::replace(ranges.begin(), ranges.end(), FAR, 0.0);  // solid cells bound every wedge on the grid
 }
 
 std::vector<StarVertex> star_vertices(View1<const double> ranges, double price_m2) {

@@ -236,6 +236,21 @@ def test_from_off_the_grid_nothing_is_free(apex: tuple[float, float]) -> None:
     assert not sectors_of_mask(np.ones(grid.shape, bool), grid, 4, apex_m=apex).range_m.any()
 
 
+@given(st.integers(5, 199), st.sampled_from([50.0, 64.0]), st.sampled_from(["right", "left", "ahead", "behind"]))
+@example(100, 64.0, "right")
+@settings(max_examples=25)
+def test_half_of_an_even_grid_is_free_on_its_side_only(half: int, extent_m: float, side: str) -> None:
+    grid = BevGrid(2 * half, extent_m)  # the apex is a corner of cells, whose sides are seldom exact in binary
+    along = grid.centers[..., 0 if side in ("ahead", "behind") else 1] * (1 if side in ("ahead", "left") else -1)
+    at = np.linspace(0, 2 * np.pi, 72, endpoint=False) + np.pi / 72
+    toward = (np.cos(at) if side in ("ahead", "behind") else np.sin(at)) * (1 if side in ("ahead", "left") else -1)
+    ranges = free_ranges(along > 0, grid, (0.0, 0.0), 72)
+    assert not ranges[toward < 0].any()
+    assert (ranges[toward > 0] > extent_m - 1e-6).all()
+    assert (ranges < 1.5 * extent_m).all()
+    assert not free_ranges(along > grid.cell_m, grid, (0.0, 0.0), 72).any()
+
+
 @given(MASKS, st.sampled_from([8, 72, 360]))
 def test_a_star_ring_claims_no_cell_that_the_mask_does_not(mask: Mask, bins: int) -> None:
     grid = grid_of(mask)

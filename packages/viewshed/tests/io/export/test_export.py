@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from tests.io.export.readers import fov_of_geojson, polygons_of_osi
 
+from viewshed import load_estimator, read_sweep
 from viewshed.fov.estimate import Basis, CellState, FovEstimate
 from viewshed.fov.polygons import polygon_of_mask
 from viewshed.fov.visibility import PEDESTRIAN
@@ -263,6 +264,15 @@ def test_cpm_never_claims_a_cell_that_is_not_visible(blind: bool, shape: str, co
     if whole_cells:
         points = np.random.default_rng(count).uniform(-24, 24, (20_000, 2))
         assert not (claimed_by_cpm(message, points) & ~(made.at(points) >= 0.5)).any()
+
+
+@pytest.mark.parametrize("grid", [BevGrid(200, 64.0), BevGrid(240, 60.0), BevGrid(256, 64.0, (20.1, 0.0))])
+def test_cpm_of_a_real_sweep_never_claims_a_cell_that_is_not_visible(real_data: Path, grid: BevGrid) -> None:
+    sweep = read_sweep(real_data / "kitti/object/000000.bin")
+    made = load_estimator("shadow_map", grid=grid).estimate(sweep)
+    claimed = claimed_by_cpm(to_cpm(made), grid.centers)
+    assert claimed.any()
+    assert not (claimed & ~made.visible()).any()
 
 
 def test_cpm_keeps_most_of_a_clean_street() -> None:
