@@ -1,5 +1,6 @@
 """What a writer puts down, its reader gets back: sweeps made by hypothesis."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +28,10 @@ def sweeps(draw: st.DrawFn) -> Sweep:
     time_s = st.one_of(st.none(), hnp.arrays(np.float32, count, elements=st.floats(-2, 2, width=32)))
     yaw = draw(st.floats(-3, 3))
     model = LidarModel("a b", np.linspace(-0.4, 0.1, 32), 1800, azimuth_offset=np.linspace(0, 0.1, 32), source="ours")
+    if draw(st.booleans()):
+        shots = np.stack(np.broadcast_arrays(model.azimuth_step * np.arange(1800)[:, None], model.elevation), axis=-1)
+        shots[600:] = np.nan  # a field of 120 degrees
+        model = replace(model, shots=shots, inferred=False)
     return Sweep(
         draw(hnp.arrays(np.float32, (count, 3), elements=FLOATS)),
         draw(maybe),
@@ -72,8 +77,18 @@ def test_npz_keeps_everything(suffix: str, sweep: Sweep, tmp_path: Path) -> None
         assert sweep.planar.max_range_m == back.planar.max_range_m
     assert (sweep.model is None) == (back.model is None)
     if sweep.model is not None and back.model is not None:
-        for name in ("name", "elevation", "azimuth_columns", "azimuth_offset", "origin_m", "min_range_m", "source"):
+        for name in (
+            "name",
+            "elevation",
+            "azimuth_columns",
+            "azimuth_offset",
+            "origin_m",
+            "min_range_m",
+            "source",
+            "inferred",
+        ):
             assert same(getattr(sweep.model, name), getattr(back.model, name)), name
+        assert same(sweep.model.fired, back.model.fired)
 
 
 @settings(max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture])

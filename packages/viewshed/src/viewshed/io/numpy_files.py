@@ -162,16 +162,16 @@ def _saved_model(members: Mapping[str, NDArray[Any]]) -> LidarModel | None:
         str(members["model_name"]), elevation, int(limits[0]), offset, origin,
         float(limits[1]), float(limits[2]), str(members["model_source"]),
         float(members["model_reach_m"]) if "model_reach_m" in members else None,
-        str(members.get("model_reach_source", "")),
-        fires_rings="model_fires_no_rings" not in members,
+        str(members.get("model_reach_source", "")), members.get("model_shots"),
+        "model_fires_no_rings" not in members, bool(members.get("model_inferred", True)),
     )  # fmt: skip
 
 
 _KEYS = {
     "points", *_OPTIONAL_COLUMNS, "viewshed_sweep", "t_ns", "attitude", "sensor_height_m", "world_from_sensor", "agent",
     "pose_covariance", "dropped_points", "open_azimuth", "open_m", "model_name", "model_source", "model_limits",
-    "model_reach_m", "model_reach_source", "model_fires_no_rings", "vehicle_yaw", "infer_sensor",
-    *(f"model_{key}" for key in _BEAM_ARRAYS),
+    "model_reach_m", "model_reach_source", "model_fires_no_rings", "model_shots", "model_inferred",
+    "vehicle_yaw", "infer_sensor", *(f"model_{key}" for key in _BEAM_ARRAYS),
 }  # fmt: skip
 
 
@@ -200,6 +200,7 @@ def write_npz(sweep: Sweep) -> bytes:
         arrays |= {"model_name": sweep.model.name, "model_source": sweep.model.source}
         arrays |= {f"model_{key}": getattr(sweep.model, key) for key in _BEAM_ARRAYS}
         arrays |= {} if sweep.model.fires_rings else {"model_fires_no_rings": True}
+        arrays |= {"model_shots": sweep.model.shots, "model_inferred": None if sweep.model.inferred else False}
         arrays |= {"model_reach_m": sweep.model.reach_m, "model_reach_source": sweep.model.reach_source}
         arrays["model_limits"] = np.array([getattr(sweep.model, key) for key in _MODEL_LIMITS], dtype=np.float64)
     buffer = io.BytesIO()
