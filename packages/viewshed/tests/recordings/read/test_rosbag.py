@@ -196,6 +196,19 @@ def test_poses_from_a_chain_of_transforms_by_hand(tmp_path: Path, ros: Ros, writ
 
 
 @KINDS
+def test_poses_are_not_made_up_in_a_gap_but_an_equal_transform_holds(tmp_path: Path, ros: Ros, write: Write) -> None:
+    entries: list[Entry] = [
+        *(("/tf", t_s, ros.tf(t_s * S, "odom", "lidar", (x, 0.0, 0.0))) for t_s, x in ((0, 0.0), (2, 2.0), (9, 4.0))),
+        *(("/tf", t_s, ros.tf(t_s * S, "map", "odom", (1.0, 0.0, 0.0))) for t_s in (0, 9)),
+        *(("/points", t_s, ros.cloud(t_s * S)) for t_s in (1, 5, 9)),
+    ]
+    source = open_source(write(tmp_path / "a", entries))
+    poses = [sweep.world_from_sensor for _, sweep in each_sweep(source)]
+    assert [None if pose is None else pose.translation[0] for pose in poses] == [2.0, None, 5.0]
+    assert any("1 of 3 clouds of /points lie outside the times" in line for line in source.notes())
+
+
+@KINDS
 def test_odometry_is_a_pose_where_tf_has_none(tmp_path: Path, ros: Ros, write: Write) -> None:
     entries: list[Entry] = [
         ("/odom", 0, ros.odometry(S, "start", "base_link", (10.0, 5.0, 0.0), LEFT)),

@@ -17,7 +17,7 @@ from viewshed.io._input import open_input
 from viewshed.io.formats import is_recording
 from viewshed.recordings.read._kitti_files import rigid_named, world_from_imu
 from viewshed.recordings.read.source import error_prefix
-from viewshed.recordings.read.tf_tree import between, nearest
+from viewshed.recordings.read.tf_tree import MAX_GAP_NS, between, nearest
 from viewshed.sweep import LATEST_S, Sweep
 
 _KITTI_NUMBERS, _TUM_NUMBERS = 12, 8
@@ -35,9 +35,6 @@ _MAX_BYTES = 64_000_000
 
 _MAX_EXTRAPOLATION_NS = 50_000_000
 """Maximum time of a sweep before the first pose, after the last one, or from a pose next to a gap."""
-
-_MAX_GAP_NS = 2_000_000_000
-"""Poses that are farther apart than this are not interpolated."""
 
 _DEFAULT_PERIOD_NS = 100_000_000
 
@@ -246,7 +243,7 @@ class PoseFile:
         after = int(np.searchsorted(times_ns, within_ns))
         if times_ns[after] == within_ns:
             return self.poses[after]
-        if times_ns[after] - times_ns[after - 1] > _MAX_GAP_NS:
+        if times_ns[after] - times_ns[after - 1] > MAX_GAP_NS:
             near = nearest(times_ns, within_ns)
             if abs(times_ns[near] - within_ns) <= _MAX_EXTRAPOLATION_NS:
                 return self.poses[near]

@@ -26,7 +26,7 @@ from viewshed.io.messages.pointcloud2 import sweep_of_cloud
 from viewshed.io.ouster_packets import OusterDecoder, OusterMetadata
 from viewshed.recordings.read.bag_files import BagFile, Message, bags_in, open_bag
 from viewshed.recordings.read.source import RecordingSource, SweepRef, note_damage
-from viewshed.recordings.read.tf_tree import WORLDS, TransformBuffer, nearest
+from viewshed.recordings.read.tf_tree import MAX_GAP_NS, WORLDS, TransformBuffer, nearest
 from viewshed.sweep import Sweep
 
 CLOUD, ODOMETRY = "sensor_msgs/msg/PointCloud2", "nav_msgs/msg/Odometry"
@@ -369,7 +369,9 @@ def _build_bag(root: Path, scene: str, path: Path, contents: _Contents, encoding
     for topic in topics:
         own_poses = [poses[index] for index, cloud in enumerate(clouds) if cloud.topic == topic and worlds[cloud.frame]]
         if own_poses.count(None):
-            problem = "lie outside the times of the transforms and have no pose"
+            problem = (
+                f"lie outside the times of the transforms or in a gap over {MAX_GAP_NS // 10**9} s, without a pose"
+            )
             note_damage(contents.notes, f"{own_poses.count(None)} of {len(own_poses)} clouds of {topic} {problem}")
     _note_tilting(contents, clouds)
     places = tuple(

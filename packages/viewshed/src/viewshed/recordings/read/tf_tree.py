@@ -14,6 +14,9 @@ from viewshed.geometry import Rigid, quaternion_from_rotation
 WORLDS = ("map", "odom", "world", "earth")
 """Frames that can be the world; the first ancestor of the sensor in this order is used."""
 
+MAX_GAP_NS = 2_000_000_000
+"""Poses that are farther apart than this are not interpolated."""
+
 _PARALLEL = 0.9995
 
 
@@ -66,7 +69,10 @@ class _Edge:
     times: list[int] = field(default_factory=list)
 
     def at(self, t_ns: int) -> Rigid | None:
-        """Return ``parent_from_child`` at a time, or None before the first or after the last one."""
+        """Return ``parent_from_child`` at a time, or None before the first, after the last one, or in a gap.
+
+        Across a gap an equal transform holds: it was published again.
+        """
         if self.static:
             return _rigid(np.array(next(reversed(self.rows.values()))))
         if len(self.times) != len(self.rows):
@@ -78,6 +84,8 @@ class _Edge:
         if self.times[late] == t_ns:
             return _rigid(after)
         start = self.times[late - 1]
+        if self.times[late] - start > MAX_GAP_NS and self.rows[start] != self.rows[self.times[late]]:
+            return None
         before, share = np.array(self.rows[start]), (t_ns - start) / (self.times[late] - start)
         translation = (1 - share) * before[:3] + share * after[:3]
         return _rigid(np.concatenate([translation, slerp(before[3:], after[3:], share)]))
