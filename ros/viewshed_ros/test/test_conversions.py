@@ -7,7 +7,9 @@ from messages import cloud
 from sensor_msgs.msg import LaserScan, PointField
 
 from viewshed.geometry import Rigid
-from viewshed_ros.conversions import INPUTS, nanoseconds_of, pose_of, rigid_of, stamp_of
+from viewshed.sensors import lidar_model
+from viewshed.sweep import Sweep
+from viewshed_ros.conversions import INPUTS, cloud_of, nanoseconds_of, pose_of, rigid_of, stamp_of
 
 POINTS = np.array([[1.0, 2.0, 3.0], [-4.0, 5.0, -6.0]], np.float32)
 
@@ -21,6 +23,15 @@ def test_a_cloud_is_a_sweep_at_its_time_with_what_is_known() -> None:
     sweep = INPUTS["cloud"].sweep(cloud(POINTS, 5_000_000_001), agent="front", sensor_height_m=1.5)
     np.testing.assert_array_equal(sweep.points, POINTS)
     assert (sweep.t_ns, sweep.agent, sweep.sensor_height_m) == (5_000_000_001, "front", 1.5)
+
+
+def test_rings_from_the_top_are_counted_by_the_beam_table_that_is_known() -> None:
+    model = lidar_model("VLP-16")
+    beam = np.tile(np.arange(1, 16), 40)  # the lowest has no return
+    points = np.column_stack([np.full(600, 10.0), np.repeat(np.arange(40.0), 15), np.zeros(600)])
+    points[:, 2] = np.hypot(points[:, 0], points[:, 1]) * np.tan(model.elevation[beam])
+    message = cloud_of(Sweep(points, ring=15 - beam), cloud(POINTS))
+    np.testing.assert_array_equal(INPUTS["cloud"].sweep(message, model=model).ring, beam)
 
 
 def test_a_scan_is_a_sweep_in_one_plane() -> None:

@@ -18,6 +18,7 @@ from viewshed.geometry import Rigid, quaternion_from_rotation, rotation_from_qua
 from viewshed.io.messages.laserscan import sweep_of_scan
 from viewshed.io.messages.packets import sweep_of_velodyne
 from viewshed.io.messages.pointcloud2 import cloud_table, sweep_of_cloud
+from viewshed.sensors import LidarModel
 from viewshed.sweep import Sweep
 
 NANOSECONDS = 1_000_000_000
@@ -41,8 +42,9 @@ class Input:
     packages: tuple[str, ...]  # packages of the message; the first installed one is used
     name: str  # of the message type
     # converts a message to a sweep without its time; None if a message holds a single packet
-    sweep_of: Callable[[Any], Sweep] | None
+    sweep_of: Callable[..., Sweep] | None
     packet: str = ""  # attribute with the bytes of a packet; empty if a message holds a sweep
+    by_model: bool = False  # whether the conversion also takes the sensor's beam table
 
     def message_type(self) -> type[Any]:
         """Return the message class."""
@@ -57,7 +59,8 @@ class Input:
         """Return the sweep of a message, with the time of its header and known attributes."""
         if self.sweep_of is None:
             raise ValueError(f"a message of {self.name} holds a packet, not a sweep")
-        return self.sweep_of(message).replace(t_ns=nanoseconds_of(message.header.stamp), **known)
+        arguments = (message, known.get("model")) if self.by_model else (message,)
+        return self.sweep_of(*arguments).replace(t_ns=nanoseconds_of(message.header.stamp), **known)
 
 
 @dataclass(slots=True)
@@ -73,18 +76,19 @@ class _Cloud:
     data: NDArray[np.uint8]
 
 
-def _sweep_of_cloud(message: PointCloud2) -> Sweep:
+def _sweep_of_cloud(message: PointCloud2, model: LidarModel | None) -> Sweep:
     data = np.frombuffer(message.data, np.uint8)
     return sweep_of_cloud(
         _Cloud(
             message.height, message.width, message.fields, message.is_bigendian, message.point_step,
             message.row_step, data,
-        )
+        ),
+        model,
     )  # fmt: skip
 
 
 INPUTS = {
-    "cloud": Input(("sensor_msgs",), "PointCloud2", _sweep_of_cloud),
+    "cloud": Input(("sensor_msgs",), "PointCloud2", _sweep_of_cloud, by_model=True),
     "scan": Input(("sensor_msgs",), "LaserScan", sweep_of_scan),
     "velodyne": Input(("velodyne_msgs",), "VelodyneScan", sweep_of_velodyne),
     "ouster": Input(("ouster_sensor_msgs", "ouster_ros"), "PacketMsg", None, packet="buf"),

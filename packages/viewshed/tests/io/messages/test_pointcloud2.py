@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from viewshed.io.messages.pointcloud2 import sweep_of_cloud
+from viewshed.sensors import lidar_model
 
 CODES = {1: "b", 2: "B", 3: "h", 4: "H", 5: "i", 6: "I", 7: "f", 8: "d"}
 F4, F8, U2, U4 = 7, 8, 4, 6
@@ -109,6 +110,17 @@ def test_rings_in_the_order_of_firing_are_sorted_by_elevation() -> None:
     ]  # fmt: skip
     sweep = sweep_of_cloud(cloud(fields, [points], 16))
     assert sweep.ring[:4].tolist() == [0, 2, 1, 3]
+
+
+def test_rings_numbered_from_the_top_stay_right_where_the_lowest_beam_has_no_return() -> None:
+    model = lidar_model("VLP-16")
+    points = [
+        (10 * np.cos(turn), 10 * np.sin(turn), 10 * np.tan(model.elevation[15 - k]), k)
+        for turn in np.linspace(0, 5, 40) for k in range(15)
+    ]  # fmt: skip
+    message = cloud([*XYZ, ("ring", 12, U2)], [points], 16)
+    assert sweep_of_cloud(message, model).ring[:15].tolist() == list(range(15, 0, -1))
+    assert sweep_of_cloud(message).ring[:15].tolist() == list(range(14, -1, -1))  # nothing states a sixteenth beam
 
 
 @pytest.mark.parametrize(

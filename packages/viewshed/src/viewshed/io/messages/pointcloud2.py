@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from viewshed.io._rings import matched_azimuth, matched_time_s, rings_by_elevation, valid_rings
+from viewshed.sensors import LidarModel
 from viewshed.sweep import MAX_POINTS, Sweep
 
 _TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
@@ -53,11 +54,16 @@ class PointCloud2(Protocol):
     data: NDArray[np.uint8]
 
 
-def sweep_of_cloud(cloud: PointCloud2) -> Sweep:
+def sweep_of_cloud(cloud: PointCloud2, model: LidarModel | None = None) -> Sweep:
     """Convert a message to a sweep (N points, meters), row by row; points that are not finite are dropped.
 
     Intensity, ring, azimuth and time are read from fields with their usual names. Ring 0 becomes the lowest beam.
     Times become seconds since the earliest point; integers are read as nanoseconds, floats as seconds.
+
+    Args:
+        cloud: the message.
+        model: beam table of the sensor if known: rings numbered from the top stay right where the lowest beam has no
+            return.
 
     Raises:
         ValueError: x, y or z is missing, or the sizes in the message do not match its data.
@@ -77,7 +83,7 @@ def sweep_of_cloud(cloud: PointCloud2) -> Sweep:
     dropped = table.size - keep.size
     if dropped:
         points, columns = points.take(keep, 0), {part: column.take(keep) for part, column in columns.items()}
-    return _sweep(points, columns, dropped)
+    return _sweep(points, columns, dropped, model)
 
 
 def _finite_rows(points: NDArray[np.float32]) -> NDArray[np.intp]:
@@ -87,13 +93,15 @@ def _finite_rows(points: NDArray[np.float32]) -> NDArray[np.intp]:
         return np.flatnonzero(x + y + z == 0)
 
 
-def _sweep(points: NDArray[np.float32], columns: Mapping[str, NDArray[Any]], dropped: int) -> Sweep:
+def _sweep(
+    points: NDArray[np.float32], columns: Mapping[str, NDArray[Any]], dropped: int, model: LidarModel | None
+) -> Sweep:
     intensity, azimuth, time = columns.get("intensity"), columns.get("azimuth"), columns.get("time")
     with np.errstate(over="ignore", invalid="ignore"):
         return Sweep(
             points,
             None if intensity is None else intensity.astype(np.float32),
-            _ring(columns.get("ring"), points),
+            _ring(columns.get("ring"), points, model),
             None if azimuth is None else matched_azimuth(azimuth, points),
             None if time is None else matched_time_s(time),
             dropped_points=dropped,
@@ -128,7 +136,9 @@ def _table(cloud: PointCloud2) -> NDArray[Any]:
     return np.ndarray((cloud.height, cloud.width), kind, data, strides=(row_step, cloud.point_step))
 
 
-def _ring(laser: NDArray[Any] | None, points: NDArray[np.float32]) -> NDArray[np.int16] | None:
+def _ring(
+    laser: NDArray[Any] | None, points: NDArray[np.float32], model: LidarModel | None
+) -> NDArray[np.int16] | None:
     """Return the ring (N,), 0 the lowest, of a field with beams in any order; None if its values are invalid."""
     if laser is None:
         return None
@@ -139,8 +149,9 @@ def _ring(laser: NDArray[Any] | None, points: NDArray[np.float32]) -> NDArray[np
         return number.astype(np.int16)
     order = _order(number, points)
     if order == 0:
-        return rings_by_elevation(number, points)
-    return (number if order > 0 else number.max() - number).astype(np.int16)
+        return rings_by_elevation(number, points, model)
+    highest = max(number.max(), 0 if model is None else model.rings - 1)
+    return (number if order > 0 else highest - number).astype(np.int16)
 
 
 def _order(laser: NDArray[np.int64], points: NDArray[np.float32]) -> int:
