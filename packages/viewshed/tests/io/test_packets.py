@@ -73,6 +73,21 @@ def test_vlp16_revolution(name: str, tmp_path: Path) -> None:
     assert clockwise.sum() == pytest.approx(-2 * np.pi, abs=0.06)
 
 
+def test_only_the_first_of_two_sensors_of_a_capture_is_read(tmp_path: Path) -> None:
+    near, far = (
+        [files.ip_packet(files.udp_packet(one)) for one in files.vlp16_turns(turns=2.2, distance_m=distance_m)]
+        for distance_m in (5.0, 9.0)
+    )
+    far = [frame.replace(b"\x0a" * 4, b"\x0a\x00\x00\x02") for frame in far]
+    (tmp_path / "v.pcap").write_bytes(files.pcap([frame for pair in zip(near, far, strict=True) for frame in pair]))
+    words = "only 10.10.10.10 to port 2368 is read, not 10.0.0.2 to port 2368"
+    with pytest.warns(UserWarning, match=rf"v\.pcap: holds packets of several Velodyne sensors; {words}") as caught:
+        sweeps = list(read_sweeps(tmp_path / "v.pcap"))
+    assert (len(sweeps), len(caught)) == (2, 1)
+    for sweep in sweeps:
+        assert_seen_by_a_vlp16(sweep)
+
+
 def test_a_cut_off_revolution_is_read_if_there_is_no_other(tmp_path: Path) -> None:
     (tmp_path / "v.bin").write_bytes(b"".join(files.vlp16_turns(turns=0.5)))
     sweeps = list(read_sweeps(tmp_path / "v.bin"))

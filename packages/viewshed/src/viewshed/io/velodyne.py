@@ -6,6 +6,7 @@ Also extracts the UDP payloads of a capture (libpcap's classic format) and reass
 from __future__ import annotations
 
 import struct
+import warnings
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -49,7 +50,14 @@ _UDP = 17
 
 
 def udp_payloads(content: bytes) -> Iterator[tuple[float, bytes]]:
-    """Yield (seconds since 1970, payload) of every UDP datagram of a capture, in order.
+    """Yield (seconds since 1970, payload) of every UDP datagram of a capture; errors as :func:`_udp_datagrams`."""
+    return ((seconds, payload) for seconds, _, payload in _udp_datagrams(content))
+
+
+def _udp_datagrams(content: bytes) -> Iterator[tuple[float, bytes, bytes]]:
+    """Yield (seconds since 1970, sender, payload) of every UDP datagram of a capture, in order.
+
+    The sender is its address of four bytes and the port that it sends to, of two bytes.
 
     Raises:
         ValueError: it is no capture, has an unsupported link type, or is cut off within a packet.
@@ -73,11 +81,11 @@ def udp_payloads(content: bytes) -> Iterator[tuple[float, bytes]]:
         datagram = _datagram(content[offset : offset + captured], link, fragments)
         offset += captured
         if datagram is not None:
-            yield seconds + fraction * unit, datagram
+            yield seconds + fraction * unit, *datagram
 
 
-def _datagram(packet: bytes, link: int, fragments: dict[bytes, _Datagram]) -> bytes | None:
-    """Return the UDP payload of this packet, or that it completes; None if it is no UDP packet or an early fragment."""
+def _datagram(packet: bytes, link: int, fragments: dict[bytes, _Datagram]) -> tuple[bytes, bytes] | None:
+    """Return sender and payload of the UDP datagram that is, or is completed by, a packet; None if there is none."""
     ip = _ip_packet(packet, link)
     if len(ip) < 20 or ip[0] >> 4 != 4 or ip[9] != _UDP:
         return None
@@ -90,7 +98,7 @@ def _datagram(packet: bytes, link: int, fragments: dict[bytes, _Datagram]) -> by
             return None
         body = joined
     length = int.from_bytes(body[4:6], "big")
-    return body[8:length] if 8 <= length <= len(body) else None
+    return (ip[12:16] + body[2:4], body[8:length]) if 8 <= length <= len(body) else None
 
 
 def _ip_packet(packet: bytes, link: int) -> bytes:
@@ -151,13 +159,32 @@ def looks_like_payloads(size: int, head: bytes) -> bool:
 
 
 def read_velodyne(source: InputFile, frame: Rigid | None) -> Iterator[Columns]:
-    """Yield the revolutions of a capture or a file of bare payloads.
+    """Yield the revolutions of a capture (of its first sensor) or a file of bare payloads.
 
     A revolution begins at the first packet's azimuth. An incomplete last one is dropped, unless it is the only one.
     """
     content = source.content()
     is_bare = looks_like_payloads(source.size, source.head)
-    yield from _revolutions(_bare_payloads(content) if is_bare else udp_payloads(content), frame)
+    yield from _revolutions(_bare_payloads(content) if is_bare else _payloads_of_first(content, source.path), frame)
+
+
+def _payloads_of_first(content: bytes, path: str) -> Iterator[tuple[float, bytes]]:
+    """Yield (seconds since 1970, payload) of the packets of the first sensor in a capture; warn once of others."""
+    first, other = b"", b""
+    for seconds, sender, payload in _udp_datagrams(content):
+        if not is_velodyne(payload):
+            continue
+        first = first or sender
+        if sender == first:
+            yield seconds, payload
+        elif not other:
+            other = sender
+            line = f"holds packets of several Velodyne sensors; only {_named(first)} is read, not {_named(other)}"
+            warnings.warn(f"{path}: {line}; write a capture of each, with tcpdump -r", stacklevel=2)
+
+
+def _named(sender: bytes) -> str:
+    return f"{'.'.join(map(str, sender[:4]))} to port {int.from_bytes(sender[4:], 'big')}"
 
 
 def _bare_payloads(content: bytes) -> Iterator[tuple[float, bytes]]:
