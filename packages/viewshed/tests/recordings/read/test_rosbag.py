@@ -281,6 +281,32 @@ def test_topics_are_agents_and_come_in_the_order_of_their_stamps(tmp_path: Path,
     ]  # fmt: skip
 
 
+@KINDS
+def test_what_follows_a_restart_of_the_clock_is_left_out(tmp_path: Path, ros: Ros, write: Write) -> None:
+    tenths = [*range(100, 106), 300, 107, 104, 108, 109]  # a wrong stamp, and a late sweep
+    runs = [(100.0, [t * S // 10 for t in tenths]), (7.0, [t * S // 10 for t in range(101, 106)])]
+    entries: list[Entry] = []
+    for y, times_ns in runs:
+        for t_ns in times_ns:
+            entries.append(("/tf", len(entries), ros.tf(t_ns, "map", "lidar", (0.0, y, 0.0))))
+            entries.append(("/points", len(entries), ros.cloud(t_ns)))
+    source = open_source(write(tmp_path / "a", entries))
+    read = list(each_sweep(source))
+    assert [ref.t_ns for ref, _ in read] == sorted(runs[0][1])
+    assert {sweep.world_from_sensor.translation[1] for _, sweep in read if sweep.world_from_sensor} == {100.0}
+    words = r"the clock of /points restarts at 10\.100 s: 5 of 16 sweeps, from there on, are left out"
+    assert len([line for line in source.damage() if re.search(words, line)]) == len(source.damage()) == 1
+
+
+def test_files_of_a_split_bag_are_read_in_the_order_of_their_numbers(tmp_path: Path) -> None:
+    for number in range(12):
+        entries = [("/points", 1, ROS2.cloud((2 * number + k + 1) * S)) for k in range(2)]
+        write_mcap(tmp_path / f"bag_{number}", entries)
+    (tmp_path / "metadata.yaml").touch()
+    source = open_source(tmp_path)
+    assert ([ref.t_ns // S for ref, _ in each_sweep(source)], source.damage()) == ([*range(1, 25)], ())
+
+
 def test_an_mcap_chunk_that_claims_too_much_is_refused(tmp_path: Path) -> None:
     # 300 bytes of zstd that unpack to 3 MB of zeros: more than 200 times as many, and more than 1 MB
     for size, words in ((3_000_000, "bytes; refused"), (900_000, "is damaged")):

@@ -140,8 +140,16 @@ class Bag:
     notes: tuple[str, ...] = ()  # missing data, and topics that are not read
 
 
-def scan_bag(root: Path, scene: str, path: Path, damage: list[str], topic: str | None = None) -> Bag | None:
+_MAX_LATE_NS = 500_000_000
+"""Stamps that lie further before earlier ones of their topic are those of a clock that restarted."""
+
+
+def scan_bag(
+    root: Path, scene: str, path: Path, damage: list[str], topic: str | None = None, last: str | None = None
+) -> Bag | None:
     """Index a bag in one pass; None if it has no clouds. Problems are appended to ``damage``.
+
+    If the clock restarts, what follows is left out: its stamps would mix with those before.
 
     Args:
         root: root of the recording.
@@ -149,6 +157,7 @@ def scan_bag(root: Path, scene: str, path: Path, damage: list[str], topic: str |
         path: the bag.
         damage: one line is appended for each problem.
         topic: topic to read; None reads all topics of the preferred message type.
+        last: position of the last message to read; None reads all.
     """
     try:
         file = open_bag(root, path)
@@ -160,6 +169,8 @@ def scan_bag(root: Path, scene: str, path: Path, damage: list[str], topic: str |
         for message in file.messages((*_CONVERTERS, STRING, ODOMETRY, *TRANSFORMS)):
             encoding = message.encoding
             _add_message(contents, message, damage)
+            if message.where == last:
+                break
         if not any(cloud.kind == CLOUD for cloud in contents.clouds) and set(OUSTER) & set(file.types.values()):
             encoding = _add_ouster(contents, file, path, damage)
     except (ValueError, OSError) as error:
@@ -170,7 +181,36 @@ def scan_bag(root: Path, scene: str, path: Path, damage: list[str], topic: str |
         types = file.types
         file.close()
     _note_topics(types, contents, damage, topic)
+    restart = None if last is not None else _restart(contents.clouds)
+    if restart is not None:
+        first, count = contents.clouds[restart], len(contents.clouds) - restart
+        line = f"the clock of {first.topic} restarts at {first.t_ns / 1e9:.3f} s: {count} of {len(contents.clouds)}"
+        note_damage(damage, f"{line} sweeps, from there on, are left out; split the bag there to read them")
+        again: list[str] = []
+        bag = scan_bag(root, scene, path, again, topic, contents.clouds[restart - 1].where)
+        damage += [problem for problem in again if problem not in damage]
+        return bag
     return _build_bag(root, scene, path, contents, encoding, damage) if contents.clouds else None
+
+
+def _restart(clouds: list[_Cloud]) -> int | None:
+    """Return the index of the first cloud after a restart of the clock, None if there is none; clouds in file order.
+
+    It and the next one of its topic lie before two earlier ones, so that a single wrong stamp is no restart.
+    """
+    by_topic = defaultdict[str, list[tuple[int, int]]](list)
+    for index, cloud in enumerate(clouds):
+        if cloud.kind not in OUSTER:  # their packets have no stamp
+            by_topic[cloud.topic].append((cloud.t_ns, index))
+    restarts = []
+    for own in by_topic.values():
+        latest: list[float] = [-math.inf, -math.inf]
+        for k, (t_ns, index) in enumerate(own):
+            if max(own[k : k + 2])[0] < latest[0] - _MAX_LATE_NS:
+                restarts.append(index)
+                break
+            latest = sorted((*latest, t_ns))[1:]
+    return min(restarts, default=None)
 
 
 def _add_message(contents: _Contents, message: Message, damage: list[str]) -> None:
