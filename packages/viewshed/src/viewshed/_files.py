@@ -1,4 +1,4 @@
-"""Atomic writes of files and folders; reading of NPZ archives."""
+"""Atomic writes of files and folders; reading of NPZ archives; order of files."""
 
 from __future__ import annotations
 
@@ -161,3 +161,12 @@ def _lock(descriptor: int) -> bool:
     except OSError:
         return False
     return True
+
+
+def by_numbers(path: Path) -> list[tuple[int, str]]:
+    """Return a key that sorts paths by the numbers in them: ``2.bin`` before ``10.bin``.
+
+    >>> sorted([Path("10.bin"), Path("2.bin"), Path("3²1.bin")], key=by_numbers)[0].name
+    '2.bin'
+    """
+    return [(int(part), "") if part.isdecimal() else (0, part) for part in re.split(r"(\d+)", str(path))]

@@ -1,5 +1,6 @@
 """What a stranger reads when a file is not what it was taken for: units, heights, sensors, origins, rings."""
 
+import json
 import re
 from pathlib import Path
 
@@ -11,6 +12,7 @@ from tests.cli.commands import run
 import viewshed
 from viewshed import BevGrid, Rigid, Sweep, write_sweep
 from viewshed.io.export import read_npz
+from viewshed.io.samples import junction_path
 from viewshed.preprocess.leveling import level
 from viewshed.preprocess.plausibility import doubts
 from viewshed.sensors import lidar_model
@@ -145,3 +147,18 @@ def test_returns_beyond_the_sensors_maximum_are_counted_in_the_line(tmp_path: Pa
     )
     done = run("estimate", written(points, tmp_path), *FAST, "--sensor", "vlp16", "--out", tmp_path / "out")
     assert "; 7 returns beyond the 100 m of VLP-16 left out" in done.stdout
+
+
+def test_each_drive_of_an_index_is_a_stream_of_its_own(tmp_path: Path) -> None:
+    """Each drive has its own world: the first sweep of the second is not confirmed by one of the first."""
+    same = {"sensor": "", "world_from_sensor": np.eye(4).tolist(), "stats": {"points": 1}}
+    rows = [{"file": f"{t}.npz", "seq": seq, "t": t, **same} for t, seq in enumerate("aabb")]
+    for row in rows:
+        write_sweep(viewshed.read_sweep(junction_path()), tmp_path / str(row["file"]))
+    (tmp_path / "index.json").write_text(json.dumps(rows))
+    code, out, _ = run(
+        "estimate", "--index", tmp_path / "index.json", "--history", 5, "--require-confirmation", "--results", "npz",
+        "--out", tmp_path / "out",
+    )  # fmt: skip
+    assert code == 0
+    assert ["visible 0 m²" in line for line in out.splitlines()[:4]] == [True, False, True, False]

@@ -152,7 +152,7 @@ def test_a_damaged_sweep_does_not_shift_poses_by_number(tmp_path: Path, capsys: 
     poses.write_text("".join(f"1 0 0 {x} 0 1 0 0 0 0 1 0\n" for x in range(3)))
     reading, placed = Reading(poses=poses), list[Sweep]()
     with pytest.raises(ValueError, match="2 sweeps read, 1 problems"):
-        placed += (each for _, sweeps in placed_sweeps(reading, [(source, None)]) for each in sweeps)
+        placed += (each for _, sweeps in placed_sweeps(reading, [(source, None)]) for _, each in sweeps)
     assert [each.world_from_sensor and each.world_from_sensor.translation[0] for each in placed] == [0.0, 2.0]
     assert "cut off" in capsys.readouterr().err
 
@@ -256,3 +256,23 @@ def test_all_commands_say_what_the_monitor_in_the_box_finds_in_the_same_words(tm
     assert len(said[0]) == 12
     assert [line.count("one sweep alone cannot reveal") for line in said[0]] == [1] * 10 + [0] * 2
     assert all(each == said[0] for each in said[1:])
+
+
+def test_each_bag_of_a_folder_is_a_stream_of_its_own(tmp_path: Path) -> None:
+    sweep, ros, folder = read_sweep(junction_path()), RosMessages(ros1=False), tmp_path / "two"
+    schema = Schema(CLOUD, "ros2msg", "cdr", ros.definition(CLOUD).encode())
+    folder.mkdir()
+    for bag_number in range(2):
+        with open_bag_writer(folder / f"{bag_number}.mcap") as bag:
+            for number in range(6):
+                t_ns = (1 + 6 * bag_number + number) * 100_000_000
+                bag.write("/points", schema, t_ns, ros.encode(ros.cloud(sweep.select(np.arange(1000)), t_ns, "lidar")))
+    words = [
+        ("replay", folder, "--as-fast", "--monitor"),
+        ("estimate", folder, "--monitor", "--results", "npz", "--out", tmp_path / "out"),
+        ("view", folder, "--html", tmp_path / "run.html", "--monitor"),
+        ("monitor", "check", folder),
+    ]
+    for command in words:
+        lines = [line for line in run(*command)[1].splitlines() if re.search(r"nothing found|INCONSISTENT", line)]
+        assert [line.count("one sweep alone cannot reveal") for line in lines] == ([1] * 5 + [0]) * 2

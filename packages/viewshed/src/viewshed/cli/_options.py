@@ -131,15 +131,18 @@ class Reading:
 
     def sweeps(self, path: Path) -> Iterator[Sweep]:
         """Yield the sweeps in a file, with the sensor that the options name."""
-        return (sweep for _, sweep in self.numbered_sweeps(path))
+        return (sweep for _, _, sweep in self.numbered_sweeps(path))
 
-    def numbered_sweeps(self, path: Path, entry: IndexEntry | None = None) -> Iterator[tuple[int, Sweep]]:
-        """Yield the sweeps in a file, or that of an index entry, with their numbers; damaged ones have numbers too."""
+    def numbered_sweeps(self, path: Path, entry: IndexEntry | None = None) -> Iterator[tuple[str, int, Sweep]]:
+        """Yield the sweeps in a file, or that of an index entry, with scene and number; damaged ones have numbers too.
+
+        The scene is that of a recording or the drive of the index entry; empty for other files.
+        """
         from viewshed.sensors import lidar_model
 
         model = None if self.sensor in {AUTO, NO_SENSOR} else lidar_model(self.sensor)
         origin_m, is_moved = parse_numbers("origin", self.origin, 3), entry is None and self._is_moved(path)
-        for number, sweep in self._read(path, is_moved) if entry is None else enumerate(self._indexed(entry)):
+        for scene, number, sweep in self._read(path, is_moved) if entry is None else self._indexed(entry):
             raise_if_interrupted()
             if origin_m is not None:
                 sweep = self._seen_from(origin_m, sweep, is_moved)  # noqa: PLW2901
@@ -148,7 +151,7 @@ class Reading:
                 changes |= {"model": model, "infer_sensor": False}
             if self.vehicle_yaw_deg is not None:
                 changes["vehicle_yaw"] = math.radians(self.vehicle_yaw_deg)
-            yield number, sweep.replace(**changes) if changes else sweep
+            yield scene, number, sweep.replace(**changes) if changes else sweep
 
     def _is_moved(self, path: Path) -> bool:
         """Return whether the reader itself subtracts a far origin, in float64 before rounding to float32."""
@@ -176,7 +179,7 @@ class Reading:
             )
         return sweep.seen_from(origin_m)
 
-    def _read(self, path: Path, is_moved: bool) -> Iterator[tuple[int, Sweep]]:
+    def _read(self, path: Path, is_moved: bool) -> Iterator[tuple[str, int, Sweep]]:
         import numpy as np
 
         from viewshed.geometry import Rigid
@@ -194,9 +197,9 @@ class Reading:
             path, format=self.format, file_frame=file_frame,
             sensor_height_m=self.height_m, attitude=parse_numbers("attitude", self.attitude, 4),
         )  # fmt: skip
-        return enumerate(sweeps)
+        return (("", number, sweep) for number, sweep in enumerate(sweeps))
 
-    def _recorded(self, path: Path) -> Iterator[tuple[int, Sweep]]:
+    def _recorded(self, path: Path) -> Iterator[tuple[str, int, Sweep]]:
         """Yield the sweeps of a recording; print a line for each problem and raise at the end if there were any."""
         from viewshed.recordings.read.source import each_sweep
         from viewshed.recordings.recording import open_sweep_source
@@ -214,18 +217,18 @@ class Reading:
         source = open_sweep_source(path, topic=self.topic)
         for line in source.notes():
             note(line)
-        for _, sweep in each_sweep(source, on_damage=on_damage):
-            yield count + skipped, self._overridden(sweep)
+        for ref, sweep in each_sweep(source, on_damage=on_damage):
+            yield f"{path} {ref.scene}", count + skipped, self._overridden(sweep)
             count += 1
         if problems or not count:
             raise ValueError(f"{path}: {count} sweeps read, {problems} problems")
 
-    def _indexed(self, entry: IndexEntry) -> Iterator[Sweep]:
+    def _indexed(self, entry: IndexEntry) -> Iterator[tuple[str, int, Sweep]]:
         from viewshed.io import read_indexed
 
         if self.format != AUTO or self.file_frame is not None:
             raise ValueError("--format and --file-frame do not go with --index, which names the axes of its files")
-        yield self._overridden(read_indexed(entry))
+        yield entry.seq or "", 0, self._overridden(read_indexed(entry))
 
     def _overridden(self, sweep: Sweep) -> Sweep:
         """Return the sweep with the height and attitude of the options."""

@@ -129,11 +129,12 @@ def refuse_inputs(places: Iterable[Path], inputs: Iterable[Path]) -> None:
 
 
 class Named(NamedTuple):
-    """A sweep, the name of its results and its file."""
+    """A sweep, the name of its results, its file and its scene; sweeps of another scene are another stream."""
 
     sweep: Sweep
     name: str
     file: Path
+    scene: str = ""
 
 
 @dataclass(slots=True)
@@ -188,6 +189,7 @@ class Run:
     dark: bool = False  # whether pictures have a dark background
     certify: Threat | None = None  # threat for which claims are certified, or None
     _is_warm: bool = field(default=False, init=False)
+    _scene: str = field(default="", init=False)
 
     def summaries(self, sweeps: Iterable[Named], failures: Failures, batch: int = 1) -> Iterator[Summary]:
         """Yield the summary of each sweep: one by one and timed, or in batches and not timed."""
@@ -195,10 +197,22 @@ class Run:
             yield from self._in_batches(sweeps, failures, batch)
             return
         for named in sweeps:
+            if named.scene != self._scene:
+                self._begin_anew()
+                self._scene = named.scene
             try:
                 yield self.one(named.sweep, named.name)
             except BAD_INPUTS as error:
                 failures.report(named.file, error)
+
+    def _begin_anew(self) -> None:
+        """Forget the earlier sweeps: the next one begins a new stream."""
+        from viewshed.estimators.temporal import TemporalEstimator
+
+        if isinstance(self.estimator, TemporalEstimator):
+            self.estimator.reset()
+        if self.monitor is not None:
+            self.monitor.reset()
 
     def places(self, name: str) -> list[Path]:
         """Return the result files of a sweep in the order of ``results``, without the images of nav2 maps."""

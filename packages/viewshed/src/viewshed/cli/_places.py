@@ -10,6 +10,7 @@ from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from viewshed._files import by_numbers
 from viewshed.cli._terminal import note
 
 if TYPE_CHECKING:
@@ -53,7 +54,7 @@ def files_in(place: Path) -> list[Path]:
     A pattern is expanded; a folder of sweeps gives its sweeps and bags; any other path is returned itself.
     """
     if _PATTERN.search(str(place)) and not place.exists():
-        matches = sorted((Path(name) for name in glob(str(place), recursive=True)), key=_by_numbers)  # noqa: PTH207
+        matches = sorted((Path(name) for name in glob(str(place), recursive=True)), key=by_numbers)  # noqa: PTH207
         if not matches:
             raise ValueError(f"no file matches {place}")
         return [file for match in matches for file in files_in(match)]
@@ -75,7 +76,7 @@ def _files_of_folder(folder: Path) -> list[Path]:
         return [folder]
     plain = tuple(dict.fromkeys(suffix for known in all_formats().values() for suffix in known.suffixes))
     endings = tuple(suffix + packed for suffix in plain for packed in ("", ".gz"))
-    content = sorted(folder.iterdir(), key=_by_numbers)
+    content = sorted(folder.iterdir(), key=by_numbers)
     sweeps = [file for file in content if file.name.lower().endswith(endings) and file.is_file()]
     layout = next((name for name, known in SOURCES.items() if known.fits(folder)), None)
     if layout is not None and not (layout == "bag" and sweeps):
@@ -104,15 +105,6 @@ def _holds_sweeps(folder: Path, endings: tuple[str, ...]) -> bool:
         return any(file.name.lower().endswith(endings) for file in folder.iterdir())
     except OSError:
         return False
-
-
-def _by_numbers(path: Path) -> list[tuple[int, str]]:
-    """Return a key that sorts paths by the numbers in them: ``2.bin`` before ``10.bin``.
-
-    >>> sorted([Path("10.bin"), Path("2.bin"), Path("3²1.bin")], key=_by_numbers)[0].name
-    '2.bin'
-    """
-    return [(int(part), "") if part.isdecimal() else (0, part) for part in re.split(r"(\d+)", str(path))]
 
 
 def place_of_result(out: str | None, name: str) -> Path:

@@ -47,6 +47,7 @@ class PendingSweep(NamedTuple):
     due_s: float  # time since the first sweep
     sweep: Sweep
     truth: DriveTruth | None = None  # of a simulation
+    scene: str = ""  # sweeps of another scene are another stream
 
 
 class Listener:
@@ -74,6 +75,7 @@ class Listener:
         self._pending_lock = Lock()  # one thread sends sweeps while another takes answers
         self._times: RisingTimes | None = None
         self._center = Center(adversary) if object_options.fuse else None
+        self._scene = ""
         self._adversary, self._forged = adversary, set[str]()
         self._metrics: TrackMetrics | None = None
         self.on_accused: Callable[[frozenset[str]], None] = lambda agents: None
@@ -109,6 +111,8 @@ class Listener:
             visible = f"visible {answer.estimate.area_m2():.0f} m²"
             findings += "" if answer.objects is None else objects_line(answer.objects)
             typer.echo(f"{pending.due_s:9.3f} s  {visible}  {1e3 * answer.latency_s:.1f} ms{findings}")
+        if self._center is not None and pending.scene != self._scene:
+            self._center, self._scene = Center(self._adversary), pending.scene
         done = None if self._center is None else self._center.take(answer)
         if done is not None and self._center is not None:
             self.on_accused(self._center.accused)
@@ -289,12 +293,15 @@ def run(
     from viewshed.pipeline import prepare_process
 
     prepare_process()
-    count, listener.on_accused = 0, pipeline.accuse
+    count, scene, listener.on_accused = 0, "", pipeline.accuse
     try:
         with pipeline:
             for pending in sweeps:
                 if listener.failed:  # the pipeline raises the error when it closes
                     break
+                if pending.scene != scene:
+                    pipeline.begin_anew()
+                    scene = pending.scene
                 sent = pending if adversary is None else pending._replace(sweep=adversary.sweep(pending.sweep))
                 listener.expect(count, sent)
                 pipeline.put(sent.sweep, sent.agent)

@@ -32,11 +32,11 @@ def named_sweeps(
     files = with_bar(placed_sweeps(reading, jobs), len(jobs))
     for (file, sweeps), name in zip(files, names, strict=True):
         try:
-            for sweep, sweep_name in _named(sweeps, name, taken):
+            for scene, sweep, sweep_name in _named(sweeps, name, taken):
                 if history and (sweep.world_from_sensor is None or sweep.t_ns is None):
                     failures.report(file, ValueError(_NO_HISTORY))
                 else:
-                    yield Named(sweep, sweep_name, file)
+                    yield Named(sweep, sweep_name, file, scene)
         except BAD_INPUTS as error:
             failures.report(file, error)
 
@@ -47,8 +47,11 @@ _NO_HISTORY = (
 )
 
 
-def placed_sweeps(reading: Reading, jobs: list[Job]) -> Iterator[tuple[Path, Iterator[Sweep]]]:
-    """Yield each file with its sweeps, with the poses of ``--poses``; note what was assumed about them."""
+def placed_sweeps(reading: Reading, jobs: list[Job]) -> Iterator[tuple[Path, Iterator[tuple[str, Sweep]]]]:
+    """Yield each file with its scenes and sweeps, with the poses of ``--poses``; note what was assumed about them.
+
+    Sweeps of another scene are another stream.
+    """
     files, poses = [file for file, _ in jobs], None
     if reading.poses is not None:
         from viewshed.recordings.read.pose_files import PoseFile
@@ -58,9 +61,9 @@ def placed_sweeps(reading: Reading, jobs: list[Job]) -> Iterator[tuple[Path, Ite
         for line in poses.notes:
             note(f"{reading.poses}: {line}")
 
-    def placed(file: Path, entry: IndexEntry | None) -> Iterator[Sweep]:
-        for number, sweep in reading.numbered_sweeps(file, entry):
-            yield sweep if poses is None else poses.place_sweep(sweep, file, number, files)
+    def placed(file: Path, entry: IndexEntry | None) -> Iterator[tuple[str, Sweep]]:
+        for scene, number, sweep in reading.numbered_sweeps(file, entry):
+            yield scene, sweep if poses is None else poses.place_sweep(sweep, file, number, files)
 
     for job in jobs:
         yield job[0], placed(*job)
@@ -70,7 +73,7 @@ def one_sweep(reading: Reading, file: Path, index: Path | None = None, number: i
     """Return one sweep of a file, folder or recording, with the data of an index and poses."""
     count = 0
     jobs = list(chosen_files([file], index))
-    for sweep in (sweep for _, sweeps in placed_sweeps(reading, jobs) for sweep in sweeps):
+    for sweep in (sweep for _, sweeps in placed_sweeps(reading, jobs) for _, sweep in sweeps):
         if count > number:
             note(f"{file} holds more sweeps; number {number}, counted from 0, is used; --number selects another")
             break
@@ -80,20 +83,20 @@ def one_sweep(reading: Reading, file: Path, index: Path | None = None, number: i
     return chosen
 
 
-def _named(sweeps: Iterator[Sweep], name: str, taken: set[str]) -> Iterator[tuple[Sweep, str]]:
-    """Yield each sweep with the name of its results: the file's, with agent and number if it has several sweeps."""
+def _named(sweeps: Iterator[tuple[str, Sweep]], name: str, taken: set[str]) -> Iterator[tuple[str, Sweep, str]]:
+    """Yield scene, sweep and name of its results: the file's, with agent and number if it has several sweeps."""
     first = next(sweeps)
     try:
         second = next(sweeps, None)
     except BAD_INPUTS:
-        yield first, name
+        yield *first, name
         raise
     if second is None:
-        yield first, name
+        yield *first, name
         return
-    for number, sweep in enumerate(chain((first, second), sweeps)):
+    for number, (scene, sweep) in enumerate(chain((first, second), sweeps)):
         agent = "" if sweep.agent == "ego" else f"_{sweep.agent.replace('/', '_')}"
-        yield sweep, free_name(f"{name}{agent}_{number:03}", taken)
+        yield scene, sweep, free_name(f"{name}{agent}_{number:03}", taken)
 
 
 def history_buffer(estimator: Estimator, sweeps: int) -> SweepBuffer | None:

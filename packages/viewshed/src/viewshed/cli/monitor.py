@@ -256,11 +256,11 @@ class _Source:
         for path, sweeps in placed_sweeps(reading, jobs):
             is_folder = path.is_dir()
             try:
-                for number, sweep in enumerate(sweeps):
+                for number, (scene, sweep) in enumerate(sweeps):
                     name = f"{path.name} {number:05}" if is_folder or number else path.name
                     # Files with one sweep each are one stream if they have times.
                     is_stream = self.poses is not None or (not is_folder and sweep.t_ns is not None)
-                    yield SceneSweep(place if is_stream else str(path), name, sweep)
+                    yield SceneSweep(f"{place if is_stream else path} {scene}", name, sweep)
             except BAD_INPUTS as error:
                 if self.failures is None:
                     raise

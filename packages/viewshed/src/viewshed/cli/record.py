@@ -59,15 +59,16 @@ def record(
     if is_simulated and reading != DEFAULT_READING:
         raise ValueError("sim reads no file: leave out --topic, --poses and all other options for reading files")
     settings, failures = running.settings(ctx), Failures()
-    stream: Iterator[tuple[Sweep, DriveTruth | None]]
+    stream: Iterator[tuple[Sweep, DriveTruth | None, str]]
     if is_simulated:
         drive = plugin("drives", "simulated", "viewshed record sim")
-        stream = drive(preset, seconds=seconds, hz=hz, agents=agents, world=world, seed=seed)
+        made = drive(preset, seconds=seconds, hz=hz, agents=agents, world=world, seed=seed)
+        stream = ((sweep, truth, "") for sweep, truth in made)
     else:
         jobs = list(chosen_files(files, None))
         names = output_names([file for file, _ in jobs])
         named = at_rate(named_sweeps(reading, jobs, names, failures, history=running.history), settings.rate_hz)
-        stream = ((one.sweep, None) for one in named)
+        stream = ((one.sweep, None, one.scene) for one in named)
     inputs = [] if is_simulated else files
     run_recorded(
         running, settings, _timed(islice(stream, sweeps)), object_options, failures, to=to, schemas=schemas,
@@ -75,10 +76,10 @@ def record(
     )  # fmt: skip
 
 
-def _timed(stream: Iterable[tuple[Sweep, DriveTruth | None]]) -> Iterator[PendingSweep]:
+def _timed(stream: Iterable[tuple[Sweep, DriveTruth | None, str]]) -> Iterator[PendingSweep]:
     """Yield sweeps with their time since the first; sweeps without times are 0.1 s apart."""
     begin_ns = 0
-    for count, (sweep, truth) in enumerate(stream):
+    for count, (sweep, truth, scene) in enumerate(stream):
         begin_ns = sweep.t_ns or 0 if count == 0 else begin_ns
         due_s = count * DEFAULT_PERIOD_S if sweep.t_ns is None else (sweep.t_ns - begin_ns) / 1e9
-        yield PendingSweep(sweep.agent, due_s, sweep, truth)
+        yield PendingSweep(sweep.agent, due_s, sweep, truth, scene)

@@ -88,7 +88,7 @@ def replay(
 
     pace = Pacer(0.0 if as_fast else rate)
     paced = pace.kept(at_rate(repeated(read, loop=loop), settings.rate_hz))
-    pending = (PendingSweep(one.sweep.agent, pace.time_s, one.sweep) for one in paced)
+    pending = (PendingSweep(one.sweep.agent, pace.time_s, one.sweep, scene=one.scene) for one in paced)
     run_recorded(
         running, settings, pending, object_options, failures, to=to, schemas=schemas, inputs=places, is_live=not as_fast
     )

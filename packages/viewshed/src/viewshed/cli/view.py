@@ -49,8 +49,8 @@ if TYPE_CHECKING:
     from viewshed.preprocess.leveling import LeveledSweep
     from viewshed.show.view import Frame, PackedFrame
 
-    Check = Callable[[LeveledSweep, FovEstimate], tuple[IntegrityReport, str]]
-    """Returns a monitor's report on the next sweep and its estimate, and the same as text."""
+    Check = Callable[[LeveledSweep, FovEstimate, bool], tuple[IntegrityReport, str]]
+    """Returns a monitor's report on the next sweep (and whether it begins a stream) and its estimate, also as text."""
 
 Step = Annotated[int, typer.Option(min=1, help="Take every Nth sweep.")]
 
@@ -221,7 +221,7 @@ def _serve(
     pace = Pacer(1.0)
     with foxglove_server(port) as record:
         typer.echo(f"open ws://localhost:{port} in Foxglove; Ctrl-C ends")
-        pending = (PendingSweep(one.sweep.agent, pace.time_s, one.sweep) for one in pace.kept(sweeps))
+        pending = (PendingSweep(one.sweep.agent, pace.time_s, one.sweep, scene=one.scene) for one in pace.kept(sweeps))
         answer([record], pending, estimator, buffer, watch, settings, object_options, failures, is_live=True)
 
 
@@ -236,14 +236,16 @@ def _monitored(file: Path | None, weights: str | None, method: str | None) -> tu
             raise ValueError(f"--monitor-file was fitted on mc_dropout, got --method {method}; leave out --method")
         fitted = load_monitor(file)
 
-        def check_estimate(_: LeveledSweep, estimate: FovEstimate) -> tuple[IntegrityReport, str]:
+        def check_estimate(_: LeveledSweep, estimate: FovEstimate, __: bool) -> tuple[IntegrityReport, str]:
             report = fitted.check(estimate)
             return report, verdicts(report)
 
         return estimator_of(fitted, weights), check_estimate
     stream = stream_monitor(file)
 
-    def check(leveled: LeveledSweep, estimate: FovEstimate) -> tuple[IntegrityReport, str]:
+    def check(leveled: LeveledSweep, estimate: FovEstimate, is_first: bool) -> tuple[IntegrityReport, str]:
+        if is_first:
+            stream.reset()
         report = stream.check(leveled, estimate.grid)
         return report.now, stream_verdicts(report)
 
@@ -269,8 +271,15 @@ def _frames(
 
     adversary = object_options.adversary()
     objects, center = object_options.object_stream(adversary), Center(adversary) if object_options.fuse else None
-    sensor, is_warm, seen = UNIDENTIFIED, False, None
+    sensor, is_warm, seen, scene = UNIDENTIFIED, False, None, ""
     for named in sweeps:
+        is_first, scene = named.scene != scene, named.scene
+        if is_first:
+            sensor = UNIDENTIFIED
+            for memory in (buffer, objects):
+                if memory is not None:
+                    memory.reset()
+            center = Center(adversary) if object_options.fuse else None
         try:
             if not is_warm:
                 warm_up(estimator, named.sweep)
@@ -282,7 +291,7 @@ def _frames(
             leveled = leveled if history is None else history.now
             estimate = estimator.estimate(leveled, history)
             elapsed_ms = 1e3 * (time.perf_counter() - begin_s)
-            report, findings = (None, "") if check is None else check(leveled, estimate)
+            report, findings = (None, "") if check is None else check(leveled, estimate, is_first)
             seen = None if objects is None else objects.follow(leveled, estimate, report)
             done = None if center is None or seen is None else center.add(sweep, estimate, seen)
         except BAD_INPUTS as error:

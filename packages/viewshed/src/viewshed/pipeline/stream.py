@@ -255,6 +255,11 @@ class Pipeline:
         if self._ended is not None:
             raise self._ended
 
+    def begin_anew(self) -> None:
+        """Begin the streams of all agents anew: the sweeps put in from now on have no past."""
+        with self._lock:
+            self._agents.clear()  # sweeps on their way keep the agent that they came from
+
     def _new_agent(self, name: str) -> Agent:
         """Return an agent with empty state."""
         history, monitor, objects = self._history, self._monitor, self._objects

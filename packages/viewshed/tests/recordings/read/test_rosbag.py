@@ -20,7 +20,7 @@ from tests.io.test_hostile_files import mcap_chunk, ros1_chunk, ros1_fields, ros
 
 from viewshed.io import read_sweep
 from viewshed.recordings.read import open_source
-from viewshed.recordings.read.bag_files import open_bag
+from viewshed.recordings.read.bag_files import bags_in, open_bag
 from viewshed.recordings.read.source import each_sweep
 from viewshed.recordings.recording import open_recording
 from viewshed.sweep import Sweep
@@ -675,3 +675,9 @@ def test_packets_decoded_by_others_lie_at_the_same_points(real_data: Path) -> No
     assert len(sweeps) == 4
     near_m = [np.quantile(KDTree(sweep.points).query(theirs.points)[0], 0.9) for sweep in sweeps]
     assert min(near_m) < 0.02
+
+
+def test_bags_of_a_folder_are_in_the_order_of_their_numbers(tmp_path: Path) -> None:
+    for number in (10, 2, 1):
+        (tmp_path / f"run_{number}.mcap").touch()
+    assert [path.name for path in bags_in(tmp_path)] == ["run_1.mcap", "run_2.mcap", "run_10.mcap"]

@@ -23,6 +23,7 @@ from types import SimpleNamespace
 from typing import Any, BinaryIO, Protocol
 
 from viewshed._extras import needed_for
+from viewshed._files import by_numbers
 from viewshed.io._input import MAX_RATIO, inside, one_line, unpack_limit
 from viewshed.io.formats import BAG_SUFFIXES
 
@@ -70,17 +71,17 @@ class BagFile(Protocol):
 
 
 def bags_in(place: Path) -> list[Path]:
-    """Return the bags at a place, by file names alone: itself, or those in the folder, sorted."""
+    """Return the bags at a place, by file names alone: itself, or those in the folder, sorted by numbers."""
     if place.is_file():
         return [place] if _is_bag_file(place) else []
     if _is_ros2(place):
         return [place]
-    return sorted([*_bag_files(place), *(path for path in place.iterdir() if _is_ros2(path))])
+    return sorted([*_bag_files(place), *(path for path in place.iterdir() if _is_ros2(path))], key=by_numbers)
 
 
 def _bag_files(folder: Path) -> list[Path]:
-    """Return the bag files in a folder, sorted; without compressed ones that are also there uncompressed."""
-    files = sorted(path for path in folder.iterdir() if _is_bag_file(path))
+    """Return the bag files in a folder, sorted by numbers; without compressed ones that are also there uncompressed."""
+    files = sorted((path for path in folder.iterdir() if _is_bag_file(path)), key=by_numbers)
     return [path for path in files if path.suffix.lower() not in _ZSTD_SUFFIXES or path.with_suffix("") not in files]
 
 
