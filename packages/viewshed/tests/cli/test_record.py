@@ -157,6 +157,21 @@ def test_a_damaged_sweep_does_not_shift_poses_by_number(tmp_path: Path, capsys: 
     assert "cut off" in capsys.readouterr().err
 
 
+def test_a_sweep_without_a_pose_costs_one_line_and_not_the_rest(tmp_path: Path) -> None:
+    sweep, ros, source = read_sweep(junction_path()), RosMessages(ros1=False), tmp_path / "drive.mcap"
+    schema = Schema(CLOUD, "ros2msg", "cdr", ros.definition(CLOUD).encode())
+    with open_bag_writer(source) as bag:
+        for second in range(1, 5):
+            cloud = ros.cloud(sweep.select(np.arange(1000)), second * 10**9, "lidar")
+            bag.write("/points", schema, second * 10**9, ros.encode(cloud))
+    poses = tmp_path / "late.tum"
+    poses.write_text("2 0 0 0 0 0 0 1\n3 1 0 0 0 0 0 1\n")
+    for command in (("estimate", "--results", "npz", "--out", tmp_path / "out"), ("monitor", "check")):
+        code, out, err = run(*command, source, "--poses", poses)
+        assert (code, len(re.findall("^drive.* → |^drive.*: ", out, re.MULTILINE))) == (2, 2)
+        assert re.findall(r"the sweep at (\d).000 s has no pose", err) == ["1", "4"]
+
+
 def test_a_profile_sets_what_no_option_beside_it_does(files: list[Path], tmp_path: Path) -> None:
     same = {
         "a.mcap": ["--profile", "robot"],

@@ -29,7 +29,7 @@ def named_sweeps(
     With a ``history`` of earlier sweeps, a sweep without a pose or a time is reported as well.
     """
     taken = {name.casefold() for name in names}
-    files = with_bar(placed_sweeps(reading, jobs), len(jobs))
+    files = with_bar(placed_sweeps(reading, jobs, failures), len(jobs))
     for (file, sweeps), name in zip(files, names, strict=True):
         try:
             for scene, sweep, sweep_name in _named(sweeps, name, taken):
@@ -47,10 +47,13 @@ _NO_HISTORY = (
 )
 
 
-def placed_sweeps(reading: Reading, jobs: list[Job]) -> Iterator[tuple[Path, Iterator[tuple[str, Sweep]]]]:
+def placed_sweeps(
+    reading: Reading, jobs: list[Job], failures: Failures | None = None
+) -> Iterator[tuple[Path, Iterator[tuple[str, Sweep]]]]:
     """Yield each file with its scenes and sweeps, with the poses of ``--poses``; note what was assumed about them.
 
-    Sweeps of another scene are another stream.
+    Sweeps of another scene are another stream. A sweep without a pose in ``--poses`` is reported to ``failures`` and
+    left out; without ``failures`` the error is raised.
     """
     files, poses = [file for file, _ in jobs], None
     if reading.poses is not None:
@@ -63,7 +66,14 @@ def placed_sweeps(reading: Reading, jobs: list[Job]) -> Iterator[tuple[Path, Ite
 
     def placed(file: Path, entry: IndexEntry | None) -> Iterator[tuple[str, Sweep]]:
         for scene, number, sweep in reading.numbered_sweeps(file, entry):
-            yield scene, sweep if poses is None else poses.place_sweep(sweep, file, number, files)
+            try:
+                placed_sweep = sweep if poses is None else poses.place_sweep(sweep, file, number, files)
+            except BAD_INPUTS as error:
+                if failures is None:
+                    raise
+                failures.report(file, error)
+            else:
+                yield scene, placed_sweep
 
     for job in jobs:
         yield job[0], placed(*job)
@@ -85,7 +95,9 @@ def one_sweep(reading: Reading, file: Path, index: Path | None = None, number: i
 
 def _named(sweeps: Iterator[tuple[str, Sweep]], name: str, taken: set[str]) -> Iterator[tuple[str, Sweep, str]]:
     """Yield scene, sweep and name of its results: the file's, with agent and number if it has several sweeps."""
-    first = next(sweeps)
+    first = next(sweeps, None)
+    if first is None:
+        return
     try:
         second = next(sweeps, None)
     except BAD_INPUTS:

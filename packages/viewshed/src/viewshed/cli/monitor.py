@@ -253,7 +253,7 @@ class _Source:
     def _read(self, place: str) -> Iterator[SceneSweep]:
         reading = Reading(self.sensor, topic=self.topic, poses=self.poses)
         jobs = list(chosen_files([Path(place)], None))
-        for path, sweeps in placed_sweeps(reading, jobs):
+        for path, sweeps in placed_sweeps(reading, jobs, self.failures):
             is_folder = path.is_dir()
             try:
                 for number, (scene, sweep) in enumerate(sweeps):
