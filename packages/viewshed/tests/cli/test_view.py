@@ -102,6 +102,21 @@ def test_live_in_foxglove(drive: list[Path]) -> None:
     assert re.match("[12] answered, [01] dropped; ", out.splitlines()[-1])
 
 
+def test_a_page_shows_the_reactions_of_a_profile(tmp_path: Path) -> None:
+    """After an empty sweep, an alarm, the profile keeps only what is confirmed or certified, as in a replay."""
+    sweep = read_sweep(junction_path())
+    for number, returns in enumerate((len(sweep), 0, len(sweep))):
+        write_sweep(sweep.select(np.arange(returns)).replace(t_ns=number * 10**8), tmp_path / f"{number}.npz")
+    files = [tmp_path / f"{number}.npz" for number in range(3)]
+    areas = []
+    for command in (("view", "--html", tmp_path / "run.html"), ("replay", "--as-fast")):
+        code, out, _ = run(*command, *files, "--profile", "contested")
+        assert code == 0
+        areas.append(re.findall(r"visible (\d+) m²", out))
+    assert areas[0] == areas[1]
+    assert int(areas[0][2]) < int(areas[0][0])
+
+
 def test_nothing_readable_leaves_no_page(tmp_path: Path) -> None:
     for words in ((tmp_path / "missing.bin",), (junction_path(), "--history", 2)):
         code, _, err = run("view", *words, "--html", tmp_path / "run.html")

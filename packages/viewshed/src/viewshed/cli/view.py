@@ -43,13 +43,14 @@ if TYPE_CHECKING:
     from viewshed.estimators import Estimator
     from viewshed.estimators.temporal import SweepBuffer
     from viewshed.fov.estimate import FovEstimate
-    from viewshed.monitor import IntegrityReport, StreamMonitor
+    from viewshed.monitor import StreamMonitor
+    from viewshed.monitor.stream_monitor import StreamReport
     from viewshed.pipeline.adversary import Adversary
     from viewshed.pipeline.profiles import Profile
     from viewshed.preprocess.leveling import LeveledSweep
     from viewshed.show.view import Frame, PackedFrame
 
-    Check = Callable[[LeveledSweep, FovEstimate, bool], tuple[IntegrityReport, str]]
+    Check = Callable[[LeveledSweep, FovEstimate, bool], tuple[StreamReport, str]]
     """Returns a monitor's report on the next sweep (and whether it begins a stream) and its estimate, also as text."""
 
 Step = Annotated[int, typer.Option(min=1, help="Take every Nth sweep.")]
@@ -123,7 +124,9 @@ def view(
             fitted_on, check = _monitored(monitor_file, weights, method)
         estimator = fitted_on or network.estimator(settings.method, cells, target)
         taken = islice(at_rate(read(), settings.rate_hz), 0, None if sweeps is None else step * sweeps, step)
-        frames = _frames(taken, estimator, history_buffer(estimator, settings.history), check, failures, object_options)
+        buffer = history_buffer(estimator, settings.history)
+        reacting = None if profile is None else settings
+        frames = _frames(taken, estimator, buffer, check, failures, object_options, reacting)
         title = f"{places[0].name or places[0]}{f' and {len(places) - 1} more' if len(places) > 1 else ''}"
         typer.echo(_written(html, rerun or Path(), frames, title, places))
     if failures.count:
@@ -230,24 +233,25 @@ def _monitored(file: Path | None, weights: str | None, method: str | None) -> tu
     from viewshed.monitor import load_monitor
     from viewshed.monitor.calibration import kind_of_monitor
     from viewshed.monitor.deviation import NAME as DEVIATION
+    from viewshed.monitor.stream_monitor import StreamReport
 
     if file is not None and kind_of_monitor(file) == DEVIATION:
         if method not in {None, "mc_dropout"}:
             raise ValueError(f"--monitor-file was fitted on mc_dropout, got --method {method}; leave out --method")
         fitted = load_monitor(file)
 
-        def check_estimate(_: LeveledSweep, estimate: FovEstimate, __: bool) -> tuple[IntegrityReport, str]:
+        def check_estimate(_: LeveledSweep, estimate: FovEstimate, __: bool) -> tuple[StreamReport, str]:
             report = fitted.check(estimate)
-            return report, verdicts(report)
+            return StreamReport(report, report.alarm), verdicts(report)
 
         return estimator_of(fitted, weights), check_estimate
     stream = stream_monitor(file)
 
-    def check(leveled: LeveledSweep, estimate: FovEstimate, is_first: bool) -> tuple[IntegrityReport, str]:
+    def check(leveled: LeveledSweep, estimate: FovEstimate, is_first: bool) -> tuple[StreamReport, str]:
         if is_first:
             stream.reset()
         report = stream.check(leveled, estimate.grid)
-        return report.now, stream_verdicts(report)
+        return report, stream_verdicts(report)
 
     return None, check
 
@@ -259,12 +263,15 @@ def _frames(
     check: Check | None,
     failures: Failures,
     object_options: ObjectOptions,
+    profile: Profile | None = None,
 ) -> Iterator[tuple[Frame, str]]:
     """Yield a frame and a line of text for each sweep; the sensor of the last sweep is tried first.
 
-    If agents are fused, yield a frame for each round instead.
+    If agents are fused, yield a frame for each round instead. With a profile, its reactions withdraw claims.
     """
     from viewshed.agents.legend import tracks_of_agent
+    from viewshed.pipeline.reactions import ReactionState, react
+    from viewshed.pipeline.stream import claims_left, finding_on
     from viewshed.preprocess.leveling import level
     from viewshed.preprocess.sensor_identification import UNIDENTIFIED
     from viewshed.show.view import Frame
@@ -272,10 +279,12 @@ def _frames(
     adversary = object_options.adversary()
     objects, center = object_options.object_stream(adversary), Center(adversary) if object_options.fuse else None
     sensor, is_warm, seen, scene = UNIDENTIFIED, False, None, ""
+    states = dict[str, ReactionState]()  # of each agent
     for named in sweeps:
         is_first, scene = named.scene != scene, named.scene
         if is_first:
             sensor = UNIDENTIFIED
+            states.clear()
             for memory in (buffer, objects):
                 if memory is not None:
                     memory.reset()
@@ -291,8 +300,18 @@ def _frames(
             leveled = leveled if history is None else history.now
             estimate = estimator.estimate(leveled, history)
             elapsed_ms = 1e3 * (time.perf_counter() - begin_s)
-            report, findings = (None, "") if check is None else check(leveled, estimate, is_first)
+            of_stream, findings = (None, "") if check is None else check(leveled, estimate, is_first)
+            report = None if of_stream is None else of_stream.now
             seen = None if objects is None else objects.follow(leveled, estimate, report)
+            if profile is not None:
+                is_accused = center is not None and sweep.agent in center.accused
+                finding = finding_on(estimate, of_stream, seen, is_accused=is_accused)
+                state = react(finding, states.get(sweep.agent, ReactionState()), profile.rules)
+                states[sweep.agent] = state
+                estimate, notes = claims_left(
+                    estimate, leveled, history, finding, state, profile.rules, profile.certify
+                )
+                findings = "; ".join(filter(None, [findings, *notes]))
             done = None if center is None or seen is None else center.add(sweep, estimate, seen)
         except BAD_INPUTS as error:
             failures.report(named.file, error)

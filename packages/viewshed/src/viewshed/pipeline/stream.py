@@ -472,36 +472,22 @@ class Pipeline:
     def _react(self, step: _Step) -> _Step:
         """Return the sweep with its reaction, withdrawn cells and the resulting speed."""
         agent = step.agent
-        finding = _finding(step.estimate, step.report, step.objects, is_accused=agent.name in self._accused)
+        finding = finding_on(step.estimate, step.report, step.objects, is_accused=agent.name in self._accused)
         if self._is_stale(agent):
             finding = replace(finding, stale=True)
             step = replace(step, notes=(*step.notes, agent.stale_note))
         reaction, estimate = react(finding, agent.reaction, self._rules), step.estimate
         if estimate is None:
             return replace(step, reaction=reaction)
-        confirmed = certified = None
-        if reaction.caution == Caution.CONFIRMED and step.seen is not None:
-            confirmed = step.seen.confirmations(estimate.grid, estimate.target) > 0
-        # No certificate for an accused agent: its attacker may exceed the assumed threat.
-        needs_certificate = self._certified_only or reaction.caution >= Caution.WIDEN
-        if needs_certificate and step.leveled is not None and not (finding.stale or finding.accused):
-            certified, notes = self._certified(step.leveled, estimate)
-            step = replace(step, notes=(*step.notes, *notes))
-        estimate = withdraw(estimate, reaction, confirmed, self._rules, certified, certified_only=self._certified_only)
+        estimate, notes = claims_left(
+            estimate, step.leveled, step.seen, finding, reaction, self._rules, self._threat,
+            certified_only=self._certified_only,
+        )  # fmt: skip
         yaw = None if step.leveled is None else step.leveled.sweep.vehicle_yaw
         is_stale = reaction.caution == Caution.STALE
         speed_mps = 0.0 if is_stale else speed_for_view(estimate, self._vehicle, yaw or 0.0)
-        return replace(step, reaction=reaction, estimate=estimate, speed_mps=speed_mps)
-
-    def _certified(self, leveled: LeveledSweep, estimate: FovEstimate) -> tuple[Mask | None, tuple[str, ...]]:
-        """Return the certified cells (cells, cells), or None, and one line about the certificate."""
-        if self._threat is None:
-            return None, ()
-        try:
-            certificate = certify(leveled, estimate, self._threat)
-        except ValueError as error:
-            return None, (f"nothing certified: {_in_one_line(error)}",)
-        return certificate.certified_visible, (certificate.line,)
+        notes = (*step.notes, *notes)
+        return replace(step, reaction=reaction, estimate=estimate, speed_mps=speed_mps, notes=notes)
 
     def _hand_out(self, answer: Answer) -> None:
         """Queue an answer for the publishing thread; unless lossless, a newer one of its agent may replace it."""
@@ -566,7 +552,7 @@ def _count(reasons: Counter[str], reason: str) -> None:
     reasons[reason if reason in reasons or len(reasons) < REASONS else OTHER_REASONS] += 1
 
 
-def _finding(
+def finding_on(
     estimate: FovEstimate | None, report: StreamReport | None, objects: SeenObjects | None, *, is_accused: bool
 ) -> Finding:
     """Return the finding on a sweep: a missing estimate is a degraded view, a missing report no finding.
@@ -579,6 +565,42 @@ def _finding(
     if report is None:
         return Finding(suspicious, is_accused, is_accused)
     return Finding(report.now.degraded or suspicious, report.alarm or is_accused, is_accused, report.suspect)
+
+
+def claims_left(
+    estimate: FovEstimate,
+    leveled: LeveledSweep | None,
+    seen: History | None,
+    finding: Finding,
+    reaction: ReactionState,
+    rules: ReactionRules,
+    threat: Threat | None,
+    *,
+    certified_only: bool = False,
+) -> tuple[FovEstimate, tuple[str, ...]]:
+    """Return the estimate after a reaction withdrew cells, and one line about the certificate if one was needed."""
+    confirmed = certified = None
+    notes: tuple[str, ...] = ()
+    if reaction.caution == Caution.CONFIRMED and seen is not None:
+        confirmed = seen.confirmations(estimate.grid, estimate.target) > 0
+    # No certificate for an accused agent: its attacker may exceed the assumed threat.
+    needs_certificate = certified_only or reaction.caution >= Caution.WIDEN
+    if needs_certificate and leveled is not None and not (finding.stale or finding.accused):
+        certified, notes = _certified(leveled, estimate, threat)
+    return withdraw(estimate, reaction, confirmed, rules, certified, certified_only=certified_only), notes
+
+
+def _certified(
+    leveled: LeveledSweep, estimate: FovEstimate, threat: Threat | None
+) -> tuple[Mask | None, tuple[str, ...]]:
+    """Return the certified cells (cells, cells), or None, and one line about the certificate."""
+    if threat is None:
+        return None, ()
+    try:
+        certificate = certify(leveled, estimate, threat)
+    except ValueError as error:
+        return None, (f"nothing certified: {_in_one_line(error)}",)
+    return certificate.certified_visible, (certificate.line,)
 
 
 def _in_one_line(error: BaseException) -> str:
