@@ -112,8 +112,16 @@ def test_files_without_times_are_one_stream_with_poses_and_each_alone_without(tm
         "monitor", "explain", drive, "--poses", poses, "--number", 6, "--grid", "32x16", "--out", tmp_path / "x.png"
     )
     assert (code, "cannot tell" in said) == (0, False)
-    code, _, err = run("monitor", "check", drive)
-    assert (code, err.count("have no times")) == (0, 1)
+    estimate = ("estimate", "--monitor", "--results", "npz", "--out", tmp_path / "out")
+    for command in (("monitor", "check"), estimate, ("view", "--monitor", "--html", tmp_path / "x.html")):
+        code, said, err = run(*command, drive)
+        assert (code, said.count("one sweep alone cannot"), err.count("have no times")) == (0, 13, 1)
+    objects = tmp_path / "kitti" / "training" / "velodyne"  # as KITTI's object set, a recording without times
+    objects.mkdir(parents=True)
+    for number in range(7):
+        np.column_stack([_sweep(number).points, np.zeros(600)]).astype(np.float32).tofile(objects / f"{number:06}.bin")
+    code, said, err = run("monitor", "check", tmp_path / "kitti")
+    assert (said.count("one sweep alone cannot"), err.count("have no times")) == (7, 1)
 
 
 def test_check_takes_a_rate_and_says_what_it_rests_on(place: Path) -> None:

@@ -16,7 +16,7 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
-from viewshed.cli._terminal import BAD_INPUTS, complain, one_line, raise_if_interrupted
+from viewshed.cli._terminal import BAD_INPUTS, complain, note, one_line, raise_if_interrupted
 from viewshed.cli._verdicts import stream_verdicts
 
 if TYPE_CHECKING:
@@ -137,6 +137,27 @@ class Named(NamedTuple):
     scene: str = ""
 
 
+NO_TIMES = "the files have no times, so each is judged alone; give --poses, which adds order and times, or a recording"
+
+
+@dataclass(slots=True)
+class Streams:
+    """Tells with which sweeps a new stream begins."""
+
+    is_judged: bool = False  # by a stream monitor: note once that it judges sweeps without times alone
+    _scene: str = field(default="", init=False)
+    _alone: int = field(default=0, init=False)
+
+    def begins(self, scene: str, sweep: Sweep) -> bool:
+        """Return whether the next sweep begins a new stream because it is of another scene."""
+        if scene == self._scene:
+            return False
+        self._scene, self._alone = scene, self._alone + (sweep.t_ns is None)
+        if self.is_judged and sweep.t_ns is None and self._alone == 2:
+            note(NO_TIMES)
+        return True
+
+
 @dataclass(slots=True)
 class Failures:
     """Prints each failure as a line on standard error, and counts them."""
@@ -189,17 +210,16 @@ class Run:
     dark: bool = False  # whether pictures have a dark background
     certify: Threat | None = None  # threat for which claims are certified, or None
     _is_warm: bool = field(default=False, init=False)
-    _scene: str = field(default="", init=False)
 
     def summaries(self, sweeps: Iterable[Named], failures: Failures, batch: int = 1) -> Iterator[Summary]:
         """Yield the summary of each sweep: one by one and timed, or in batches and not timed."""
         if batch > 1:
             yield from self._in_batches(sweeps, failures, batch)
             return
+        streams = Streams(is_judged=self.monitor is not None)
         for named in sweeps:
-            if named.scene != self._scene:
+            if streams.begins(named.scene, named.sweep):
                 self._begin_anew()
-                self._scene = named.scene
             try:
                 yield self.one(named.sweep, named.name)
             except BAD_INPUTS as error:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 import typer
 
 from viewshed.cli._options import NO_OBJECTS, NetworkOptions, ObjectOptions, parse_grid
-from viewshed.cli._outputs import Failures, Named, refuse_inputs
+from viewshed.cli._outputs import Failures, Named, Streams, refuse_inputs
 from viewshed.cli._profile import PipelineOptions
 from viewshed.cli._stream import history_buffer
 from viewshed.cli._terminal import note
@@ -280,28 +280,32 @@ def answer(
         rules=settings.rules, certify=settings.certify, certified_only=certified_only,
         lossless=not is_live, stale_after_s=math.inf,
     )  # fmt: skip
-    return run(pipeline, listener, sweeps, adversary)
+    return run(pipeline, listener, sweeps, adversary, is_judged=watch is not None)
 
 
 def run(
-    pipeline: Pipeline, listener: Listener, sweeps: Iterable[PendingSweep], adversary: Adversary | None = None
+    pipeline: Pipeline,
+    listener: Listener,
+    sweeps: Iterable[PendingSweep],
+    adversary: Adversary | None = None,
+    *,
+    is_judged: bool = False,
 ) -> int:
     """Put sweeps into a pipeline whose answers go to a listener, print statistics, return the number of sweeps.
 
-    An adversary forges the sweeps first.
+    An adversary forges the sweeps first; ``is_judged`` says whether the pipeline has a monitor.
     """
     from viewshed.pipeline import prepare_process
 
     prepare_process()
-    count, scene, listener.on_accused = 0, "", pipeline.accuse
+    count, streams, listener.on_accused = 0, Streams(is_judged), pipeline.accuse
     try:
         with pipeline:
             for pending in sweeps:
                 if listener.failed:  # the pipeline raises the error when it closes
                     break
-                if pending.scene != scene:
+                if streams.begins(pending.scene, pending.sweep):
                     pipeline.begin_anew()
-                    scene = pending.scene
                 sent = pending if adversary is None else pending._replace(sweep=adversary.sweep(pending.sweep))
                 listener.expect(count, sent)
                 pipeline.put(sent.sweep, sent.agent)

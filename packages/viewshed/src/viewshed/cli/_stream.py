@@ -52,8 +52,8 @@ def placed_sweeps(
 ) -> Iterator[tuple[Path, Iterator[tuple[str, Sweep]]]]:
     """Yield each file with its scenes and sweeps, with the poses of ``--poses``; note what was assumed about them.
 
-    Sweeps of another scene are another stream. A sweep without a pose in ``--poses`` is reported to ``failures`` and
-    left out; without ``failures`` the error is raised.
+    Sweeps of another scene are another stream; a file without times is one. A sweep without a pose in ``--poses`` is
+    reported to ``failures`` and left out; without ``failures`` the error is raised.
     """
     files, poses = [file for file, _ in jobs], None
     if reading.poses is not None:
@@ -72,8 +72,10 @@ def placed_sweeps(
                 if failures is None:
                     raise
                 failures.report(file, error)
-            else:
-                yield scene, placed_sweep
+                continue
+            if placed_sweep.t_ns is None:  # its file, or itself if it is one of a folder, is a stream
+                scene = f"{scene} {file} {number if file.is_dir() else ''}"  # noqa: PLW2901
+            yield scene, placed_sweep
 
     for job in jobs:
         yield job[0], placed(*job)

@@ -14,7 +14,7 @@ import typer
 
 from viewshed.cli import _options as options
 from viewshed.cli._options import AUTO, MonitorFile, Passes, Reading, Seed, Weights
-from viewshed.cli._outputs import Failures, free_name, make_folder, refuse_inputs, stem_of, with_bar
+from viewshed.cli._outputs import Failures, Streams, free_name, make_folder, refuse_inputs, stem_of, with_bar
 from viewshed.cli._places import chosen_files, place_of_result
 from viewshed.cli._stream import placed_sweeps
 from viewshed.cli._terminal import BAD_INPUTS, note, raise_if_interrupted
@@ -258,16 +258,12 @@ class _Source:
             try:
                 for number, (scene, sweep) in enumerate(sweeps):
                     name = f"{path.name} {number:05}" if is_folder or number else path.name
-                    # Files with one sweep each are one stream if they have times.
-                    is_stream = self.poses is not None or (not is_folder and sweep.t_ns is not None)
-                    yield SceneSweep(f"{place if is_stream else path} {scene}", name, sweep)
+                    yield SceneSweep(f"{place} {scene}", name, sweep)
             except BAD_INPUTS as error:
                 if self.failures is None:
                     raise
                 self.failures.report(path, error)
 
-
-NO_TIMES = "the files have no times, so each is judged alone; give --poses, which adds order and times, or a recording"
 
 LISTED = 6
 """Maximum number of suspicious sweeps listed by name."""
@@ -311,11 +307,11 @@ def _measured(sources: _Source, grid: BevGrid, failures: Failures) -> _Drives:
     gaps_ns: list[int] = []
     # Current drive of each agent and named sensor of the scene.
     current: dict[tuple[str, str], _Drive] = {}
-    scene, alone = "", 0
+    streams = Streams(is_judged=True)
     for seen in sources:
         try:
-            if seen.scene != scene:
-                current, scene, alone = {}, seen.scene, alone + (seen.sweep.t_ns is None)
+            if streams.begins(seen.scene, seen.sweep):
+                current = {}
             key = seen.sweep.agent, "" if seen.sweep.model is None else seen.sweep.model.name
             drive = current.get(key)
             leveled = level(seen.sweep, grid, UNIDENTIFIED if drive is None else drive.sensor)
@@ -334,8 +330,6 @@ def _measured(sources: _Source, grid: BevGrid, failures: Failures) -> _Drives:
             drive.last_ns, drive.sensor = now_ns, leveled.sensor_id
         except BAD_INPUTS as error:
             failures.report(seen.name, error)
-    if alone > 1:
-        note(NO_TIMES)
     hz = 1e9 / float(np.median(gaps_ns)) if gaps_ns else HZ
     drives = [drive for drive in drives if drive.names]
     return _Drives([np.stack(drive.evidence) for drive in drives], [drive.names for drive in drives], hz, impossible)
@@ -431,22 +425,18 @@ class SweepRun(_Run):
     grid: BevGrid
     inconsistent: int = 0
     degraded: int = 0
-    scene: str = ""
     sensor: SensorId | None = None
     estimator: Estimator | None = None
-    alone: int = 0
+    streams: Streams = field(default_factory=lambda: Streams(is_judged=True), init=False)
 
     def check(self, seen: SceneSweep) -> tuple[LeveledSweep, StreamReport]:
         """Return the next sweep, leveled, and the report on it; each file or scene is a new stream."""
         from viewshed.preprocess.leveling import level
         from viewshed.preprocess.sensor_identification import UNIDENTIFIED
 
-        if seen.scene != self.scene:
+        if self.streams.begins(seen.scene, seen.sweep):
             self.monitor.reset()
-            self.sensor, self.alone = None, self.alone + (seen.sweep.t_ns is None)
-            if self.alone == 2:
-                note(NO_TIMES)
-        self.scene = seen.scene
+            self.sensor = None
         leveled = level(seen.sweep, self.grid, self.sensor or UNIDENTIFIED)
         self.sensor = leveled.sensor_id
         return leveled, self.monitor.check(leveled)

@@ -27,7 +27,16 @@ from viewshed.cli._options import (
     Weights,
     WithMonitor,
 )
-from viewshed.cli._outputs import Failures, Named, output_names, refuse_inputs, report_doubts, summary_line, warm_up
+from viewshed.cli._outputs import (
+    Failures,
+    Named,
+    Streams,
+    output_names,
+    refuse_inputs,
+    report_doubts,
+    summary_line,
+    warm_up,
+)
 from viewshed.cli._places import chosen_files
 from viewshed.cli._profile import Method, PipelineOptions, ProfileName, at_rate
 from viewshed.cli._record import Center, PendingSweep, answer, note_unmet, objects_line, repeated
@@ -126,7 +135,8 @@ def view(
         taken = islice(at_rate(read(), settings.rate_hz), 0, None if sweeps is None else step * sweeps, step)
         buffer = history_buffer(estimator, settings.history)
         reacting = None if profile is None else settings
-        frames = _frames(taken, estimator, buffer, check, failures, object_options, reacting)
+        streams = Streams(is_judged=check is not None and fitted_on is None)
+        frames = _frames(taken, streams, estimator, buffer, check, failures, object_options, reacting)
         title = f"{places[0].name or places[0]}{f' and {len(places) - 1} more' if len(places) > 1 else ''}"
         typer.echo(_written(html, rerun or Path(), frames, title, places))
     if failures.count:
@@ -185,7 +195,7 @@ def _serve_page(reading: Reading, estimator: Estimator) -> None:
             file.write_bytes(content)
             try:
                 sweeps = islice((Named(sweep, name, file) for sweep in reading.sweeps(file)), _SWEEPS_SHOWN)
-                frames = _frames(sweeps, estimator, None, None, _Raising(), NO_OBJECTS)
+                frames = _frames(sweeps, Streams(), estimator, None, None, _Raising(), NO_OBJECTS)
                 write_page(page, packed(frames), name)
             except BAD_INPUTS as error:
                 line = one_line(error).replace(f"{folder}{os.sep}", "")
@@ -258,6 +268,7 @@ def _monitored(file: Path | None, weights: str | None, method: str | None) -> tu
 
 def _frames(
     sweeps: Iterable[Named],
+    streams: Streams,
     estimator: Estimator,
     buffer: SweepBuffer | None,
     check: Check | None,
@@ -278,10 +289,10 @@ def _frames(
 
     adversary = object_options.adversary()
     objects, center = object_options.object_stream(adversary), Center(adversary) if object_options.fuse else None
-    sensor, is_warm, seen, scene = UNIDENTIFIED, False, None, ""
+    sensor, is_warm, seen = UNIDENTIFIED, False, None
     states = dict[str, ReactionState]()  # of each agent
     for named in sweeps:
-        is_first, scene = named.scene != scene, named.scene
+        is_first = streams.begins(named.scene, named.sweep)
         if is_first:
             sensor = UNIDENTIFIED
             states.clear()
