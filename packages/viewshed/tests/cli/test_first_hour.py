@@ -163,14 +163,14 @@ def test_json_says_what_the_arrays_hold_and_quiet_says_nothing(drive: Path, tmp_
     assert run("estimate", drive, *FAST, "--out", tmp_path, "--quiet") == (0, "", "")
 
 
-@pytest.mark.parametrize("command", ["export", "compare"])
+@pytest.mark.parametrize(("command", "name"), [("export", "one.result"), ("compare", "one.png")])
 def test_out_is_a_folder_for_every_command_unless_it_is_named_like_a_file(
-    command: str, drive: Path, tmp_path: Path
+    command: str, name: str, drive: Path, tmp_path: Path
 ) -> None:
     assert run(command, drive / "9.npz", "--out", tmp_path / "new").returncode == 0
     assert [file.is_file() for file in (tmp_path / "new").iterdir()] == [True]
-    assert run(command, drive / "9.npz", "--out", tmp_path / "one.result").returncode == 0
-    assert (tmp_path / "one.result").is_file()
+    assert run(command, drive / "9.npz", "--out", tmp_path / name).returncode == 0
+    assert (tmp_path / name).is_file()
     assert run("estimate", drive / "9.npz", *FAST, "--out", tmp_path / "more").returncode == 0
     assert (tmp_path / "more").is_dir()
 
