@@ -152,8 +152,6 @@ def test_the_own_vehicle_is_no_missing_object() -> None:
     there = AgentReport.of(AGENTS[1], Detections.none()).is_own(own + np.array([[4.0, -9.0, 0, 0, 0, 0, 0], [0] * 7]))
     assert there.tolist() == [True, False]
     assert chances([AgentReport(AGENTS[0], Detections.none())], CARS, honest_model()).min() > 0.5
-    mast = replace(AGENTS[0], basis=Basis(28.0, "given", 1.0, 0.0, 0.0, 60.0))
-    assert AgentReport(mast, Detections.none()).blind_m == 15.0
 
 
 def test_detections_of_two_agents_are_matched_one_to_one() -> None:

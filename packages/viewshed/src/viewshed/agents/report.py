@@ -19,9 +19,6 @@ from viewshed.objects.views import GridView
 if TYPE_CHECKING:
     from viewshed.agents.view_message import ViewMessage
 
-MAX_BLIND_M = 15.0
-"""Maximum of :attr:`AgentReport.blind_m`."""
-
 FAR_M = 50.0
 """Maximum range of a report; neither reports nor silence beyond it are used."""
 
@@ -111,12 +108,9 @@ class AgentReport:
 
     @property
     def blind_m(self) -> float:
-        """Range up to which an elevated sensor sees little of the objects there: its own height; 0 for a low one.
-
-        Bounded, because the agent states this height itself.
-        """
+        """Range up to which an elevated sensor sees little of the objects there: its own height; 0 for a low one."""
         basis = self.estimate.basis
-        return min(basis.sensor_height_m, MAX_BLIND_M) if basis is not None and self.elevated else 0.0
+        return basis.sensor_height_m if basis is not None and self.elevated else 0.0
 
     @property
     def elevated(self) -> bool:
