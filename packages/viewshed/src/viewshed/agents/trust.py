@@ -203,7 +203,6 @@ class Trust:
     _of_objects: dict[int, F64] = field(default_factory=dict, repr=False)
     _pairs: _Means = field(init=False, repr=False)
     _own: _Means = field(init=False, repr=False)
-    _present: Mask = field(init=False, repr=False)
     _answers: list[tuple[float, F64]] = field(default_factory=list, repr=False)  # (age in seconds, answers)
 
     def __post_init__(self) -> None:
@@ -214,7 +213,7 @@ class Trust:
         self._pairs, self._own = (_Means(np.zeros(shape), np.zeros(shape)) for shape in (pairs, own))
 
     def _follow(self, agents: int) -> None:
-        self.agents, self._lies, self._present = agents, hypotheses(agents), np.ones(agents, np.bool_)
+        self.agents, self._lies = agents, hypotheses(agents)
         # (L, H, H) probability, under a hypothesis, that exactly the liars of another one lie about an object.
         liars, among = self._lies.sum(axis=1), ~(self._lies[None] & ~self._lies[:, None]).any(axis=2)
         lie = np.array(self.rules.lies)[:, None, None]
@@ -294,9 +293,9 @@ class Trust:
             self._pairs.add(views[0], seconds, self.rules)
             self._own.add(views[1], seconds, self.rules)
             self._own.values = np.where(_AT_ONCE, at_once, self._own.values)
-        self._present = np.ones(self.agents, np.bool_) if present is None else present
         self._answers = [(age_s + seconds, answers) for age_s, answers in self._answers if age_s + seconds < SCENE_S]
-        return self._verdicts(reports, np.zeros(self.agents) if withheld is None else withheld)
+        withheld = np.zeros(self.agents) if withheld is None else withheld
+        return self._verdicts(reports, withheld, np.ones(self.agents, np.bool_) if present is None else present)
 
     def _likelihoods(self, reports: Reports) -> F64:
         """Return log-likelihoods (J, H) of the reports of each object under each set of agents that lie about it."""
@@ -373,7 +372,7 @@ class Trust:
         gain = np.where(touched, against, 0.0).sum(axis=(1, 2)) + self._lies @ own
         return against + against.T + np.diag(own), gain
 
-    def _verdicts(self, reports: Reports, withheld: F64) -> Verdicts:
+    def _verdicts(self, reports: Reports, withheld: F64, present: Mask) -> Verdicts:
         """Return the verdicts on the agents and on the objects of the last reports."""
         object_evidence = np.array(list(self._of_objects.values())).reshape(-1, len(self._lies))
         # Average each hypothesis over the subset of its liars that lies about an object, ...
@@ -391,13 +390,13 @@ class Trust:
         # ... and over the share of objects that liars lie about.
         logs = np.logaddexp.reduce(of_shares, axis=0) - np.log(len(of_shares)) + of_views
         # Of those present at most half lie. Agents that left count neither there nor among those that are seen through.
-        logs = np.where(2 * self._lies[:, self._present].sum(axis=1) <= self._present.sum(), logs, -np.inf)
+        logs = np.where(2 * self._lies[:, present].sum(axis=1) <= present.sum(), logs, -np.inf)
         own, through = self._own.values, self._pairs.values[..., PAIR.index("through")]
         opened, closed = own[:, _AT_ONCE].T
-        others = np.maximum(self._present.sum() - self._present, 1)
+        others = np.maximum(present.sum() - present, 1)
         answers = np.column_stack([
             self._evidence(logs - of_views), np.maximum(opened - closed, 0.0), own[:, OWN.index("misplaced")],
-            np.where(self._present, through, 0.0).sum(axis=1) / others, withheld,
+            np.where(present, through, 0.0).sum(axis=1) / others, withheld,
         ])  # fmt: skip
         self._answers.append((0.0, answers))
         liars = self._lies.sum(axis=1)

@@ -12,7 +12,6 @@ from __future__ import annotations
 import bz2
 import contextlib
 import io
-import re
 import sqlite3
 import struct
 from collections.abc import Callable, Collection, Iterator
@@ -489,10 +488,7 @@ class FolderBag:
 
     def __init__(self, root: Path, folder: Path) -> None:
         self._root = root
-        # By the numbers in their names, as they were recorded: a_2 before a_10.
-        self._files = sorted(
-            _bag_files(folder), key=lambda file: re.sub(r"\d+", lambda digits: digits[0].zfill(20), file.name)
-        )
+        self._files = _bag_files(folder)
         if not self._files:
             raise ValueError("is damaged: it holds no .db3 and no .mcap file")
         self._open: tuple[int, BagFile] | None = None
