@@ -59,8 +59,8 @@ if TYPE_CHECKING:
     from viewshed.preprocess.leveling import LeveledSweep
     from viewshed.show.view import Frame, PackedFrame
 
-    Check = Callable[[LeveledSweep, FovEstimate, bool], tuple[StreamReport, str]]
-    """Returns a monitor's report on the next sweep (and whether it begins a stream) and its estimate, also as text."""
+    Check = Callable[[LeveledSweep, FovEstimate], tuple[StreamReport, str]]
+    """Returns a monitor's report on the next sweep and its estimate, and the same as text."""
 
 Step = Annotated[int, typer.Option(min=1, help="Take every Nth sweep.")]
 
@@ -128,15 +128,14 @@ def view(
         buffer = history_buffer(estimator, settings.history)
         _serve(foxglove, taken, estimator, buffer, watch, settings, failures, object_options)
     else:
-        fitted_on, check = (None, None)
+        fitted_on, check, watch = None, None, None
         if settings.monitor or monitor_file:
-            fitted_on, check = _monitored(monitor_file, weights, method)
+            fitted_on, check, watch = _monitored(monitor_file, weights, method)
         estimator = fitted_on or network.estimator(settings.method, cells, target)
         taken = islice(at_rate(read(), settings.rate_hz), 0, None if sweeps is None else step * sweeps, step)
         buffer = history_buffer(estimator, settings.history)
         reacting = None if profile is None else settings
-        streams = Streams(is_judged=check is not None and fitted_on is None)
-        frames = _frames(taken, streams, estimator, buffer, check, failures, object_options, reacting)
+        frames = _frames(taken, estimator, buffer, check, failures, object_options, watch, reacting)
         title = f"{places[0].name or places[0]}{f' and {len(places) - 1} more' if len(places) > 1 else ''}"
         typer.echo(_written(html, rerun or Path(), frames, title, places))
     if failures.count:
@@ -195,7 +194,7 @@ def _serve_page(reading: Reading, estimator: Estimator) -> None:
             file.write_bytes(content)
             try:
                 sweeps = islice((Named(sweep, name, file) for sweep in reading.sweeps(file)), _SWEEPS_SHOWN)
-                frames = _frames(sweeps, Streams(), estimator, None, None, _Raising(), NO_OBJECTS)
+                frames = _frames(sweeps, estimator, None, None, _Raising(), NO_OBJECTS)
                 write_page(page, packed(frames), name)
             except BAD_INPUTS as error:
                 line = one_line(error).replace(f"{folder}{os.sep}", "")
@@ -238,8 +237,10 @@ def _serve(
         answer([record], pending, estimator, buffer, watch, settings, object_options, failures, is_live=True)
 
 
-def _monitored(file: Path | None, weights: str | None, method: str | None) -> tuple[Estimator | None, Check]:
-    """Return the estimator that a monitor was fitted on, or None, and a function that checks each sweep."""
+def _monitored(
+    file: Path | None, weights: str | None, method: str | None
+) -> tuple[Estimator | None, Check, StreamMonitor | None]:
+    """Return the estimator that a monitor was fitted on, or None; a check of each sweep; and the monitor of a stream."""
     from viewshed.monitor import load_monitor
     from viewshed.monitor.calibration import kind_of_monitor
     from viewshed.monitor.deviation import NAME as DEVIATION
@@ -250,30 +251,28 @@ def _monitored(file: Path | None, weights: str | None, method: str | None) -> tu
             raise ValueError(f"--monitor-file was fitted on mc_dropout, got --method {method}; leave out --method")
         fitted = load_monitor(file)
 
-        def check_estimate(_: LeveledSweep, estimate: FovEstimate, __: bool) -> tuple[StreamReport, str]:
+        def check_estimate(_: LeveledSweep, estimate: FovEstimate) -> tuple[StreamReport, str]:
             report = fitted.check(estimate)
             return StreamReport(report, report.alarm), verdicts(report)
 
-        return estimator_of(fitted, weights), check_estimate
+        return estimator_of(fitted, weights), check_estimate, None
     stream = stream_monitor(file)
 
-    def check(leveled: LeveledSweep, estimate: FovEstimate, is_first: bool) -> tuple[StreamReport, str]:
-        if is_first:
-            stream.reset()
+    def check(leveled: LeveledSweep, estimate: FovEstimate) -> tuple[StreamReport, str]:
         report = stream.check(leveled, estimate.grid)
         return report, stream_verdicts(report)
 
-    return None, check
+    return None, check, stream
 
 
 def _frames(
     sweeps: Iterable[Named],
-    streams: Streams,
     estimator: Estimator,
     buffer: SweepBuffer | None,
     check: Check | None,
     failures: Failures,
     object_options: ObjectOptions,
+    watch: StreamMonitor | None = None,
     profile: Profile | None = None,
 ) -> Iterator[tuple[Frame, str]]:
     """Yield a frame and a line of text for each sweep; the sensor of the last sweep is tried first.
@@ -290,13 +289,12 @@ def _frames(
     adversary = object_options.adversary()
     objects, center = object_options.object_stream(adversary), Center(adversary) if object_options.fuse else None
     sensor, is_warm, seen = UNIDENTIFIED, False, None
-    states = dict[str, ReactionState]()  # of each agent
+    streams, states = Streams(is_judged=watch is not None), dict[str, ReactionState]()  # of each agent
     for named in sweeps:
-        is_first = streams.begins(named.scene, named.sweep)
-        if is_first:
+        if streams.begins(named.scene, named.sweep):
             sensor = UNIDENTIFIED
             states.clear()
-            for memory in (buffer, objects):
+            for memory in (buffer, objects, watch):
                 if memory is not None:
                     memory.reset()
             center = Center(adversary) if object_options.fuse else None
@@ -311,7 +309,7 @@ def _frames(
             leveled = leveled if history is None else history.now
             estimate = estimator.estimate(leveled, history)
             elapsed_ms = 1e3 * (time.perf_counter() - begin_s)
-            of_stream, findings = (None, "") if check is None else check(leveled, estimate, is_first)
+            of_stream, findings = (None, "") if check is None else check(leveled, estimate)
             report = None if of_stream is None else of_stream.now
             seen = None if objects is None else objects.follow(leveled, estimate, report)
             if profile is not None:
