@@ -240,7 +240,7 @@ def _serve(
 def _monitored(
     file: Path | None, weights: str | None, method: str | None
 ) -> tuple[Estimator | None, Check, StreamMonitor | None]:
-    """Return the estimator that a monitor was fitted on, or None; a check of each sweep; and the monitor of a stream."""
+    """Return the estimator that a monitor was fitted on or None, a check of each sweep, and a stream monitor if any."""
     from viewshed.monitor import load_monitor
     from viewshed.monitor.calibration import kind_of_monitor
     from viewshed.monitor.deviation import NAME as DEVIATION
