@@ -248,7 +248,8 @@ def log_density(outputs: Tensor, units: Tensor) -> Tensor:
     log_upper, log_lower, logit = log_upper.clamp(-6, 3) - 1.5, log_lower.clamp(-6, 3) - 0.5, logit - 1.0
     goes_on = functional.logsigmoid(-logit) - log_upper - (units - upper).abs() * torch.exp(-log_upper)
     falls = functional.logsigmoid(logit) - log_lower - (units - lower).abs() * torch.exp(-log_lower)
-    return torch.logaddexp(goes_on, falls) - np.log(2.0)
+    density: Tensor = torch.logaddexp(goes_on, falls) - np.log(2.0)
+    return density
 
 
 def loss_of(outputs: Tensor, samples: Samples, base: Tensor) -> Tensor:
