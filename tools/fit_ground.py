@@ -1,12 +1,12 @@
 """Fit the network that predicts the ground without returns.
 
-    python tools/fit_ground.py make learning road --scenes 0:3200 --out samples
-    python tools/fit_ground.py make learning road --scenes 5000:6800 --out samples
-    python tools/fit_ground.py make own road --scenes 40:1240 --out samples
-    python tools/fit_ground.py make training road --scenes 0:1000 --out samples
-    python tools/fit_ground.py make training indoor --scenes 0:500 --sweeps 1 --out samples
-    python tools/fit_ground.py make own indoor --scenes 16:516 --sweeps 1 --out samples
-    python tools/fit_ground.py fit samples --minutes 44 --out packages/viewshed/src/core/ground_network.inc
+    python tools/fit_ground.py make learning road --scenes 0:3200 --out ground
+    python tools/fit_ground.py make learning road --scenes 5000:6800 --out ground
+    python tools/fit_ground.py make own road --scenes 40:1240 --out ground
+    python tools/fit_ground.py make training road --scenes 0:1000 --out ground
+    python tools/fit_ground.py make training indoor --scenes 0:500 --sweeps 1 --out ground
+    python tools/fit_ground.py make own indoor --scenes 16:516 --sweeps 1 --out ground
+    python tools/fit_ground.py fit ground --minutes 44 --out packages/viewshed/src/core/ground_network.inc
 
 ``make`` writes one file for 50 scenes and resumes where it was stopped; run two at once on two cores. ``fit`` trains
 for the given time, keeps a checkpoint beside the samples and resumes from it, keeps whole scenes of each file for

@@ -28,4 +28,4 @@ def test_one_command_makes_the_networks_of_the_default_as_the_card_says() -> Non
     runs = re.findall(r"^\t\$\(FIT\)(fit_\w+\.py (?:make|fit) .*)$", makefile, re.MULTILINE)
     said = [command for prior in TOOL["PRIORS"] for command in TOOL["commands_of"](prior.tool)]
     assert [f"python tools/{run.replace('$(FITTED)/', '')}" for run in runs] == said
-    assert len(said) == 10
+    assert len(said) == 17
