@@ -70,7 +70,7 @@ soak: $(VENV)/.test  ## pipeline and ROS 2 node worked for half an hour each (MI
 # fitted to what it says.
 FITTED ?= build/priors
 FIT := OMP_NUM_THREADS=1 $(BIN)/python tools/
-priors: $(VENV)/.test  ## the three networks of the default, fitted anew and compiled in; goes on where it was stopped
+priors: $(VENV)/.test  ## the networks of the default and that of the ground, fitted anew and compiled in; goes on where it was stopped
 	$(FIT)fit_ground.py make learning road --scenes 0:3200 --out $(FITTED)/ground
 	$(FIT)fit_ground.py make learning road --scenes 5000:6800 --out $(FITTED)/ground
 	$(FIT)fit_ground.py make own road --scenes 40:1240 --out $(FITTED)/ground

@@ -26,7 +26,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import torch
-from fit_no_return import descend, held_back, make_files, parser_of, parts_in, write_part
+from fit_no_return import descend, held_back, make_files, parser_of, parts_in, scenes_of, write_part
 from torch import nn
 from torch.nn import functional
 
@@ -37,7 +37,7 @@ from viewshed.grid import polar_of_cells
 from viewshed.preprocess.evidence import BeamEvidence, beam_evidence, cell_features
 from viewshed.preprocess.leveling import level
 from viewshed_lab._page import facts, page, table
-from viewshed_lab.data.wild import GIVEN, WildObservation, WildScene, wild_scenes, wild_tables
+from viewshed_lab.data.wild import GIVEN, WildObservation, WildScene, wild_scenes
 from viewshed_lab.studies.formatting import format_number, format_rate, format_rates
 from viewshed_lab.studies.judges import ground_errors
 from viewshed_lab.studies.wild.evaluate import ground_error_m, reach_of, row_of
@@ -79,11 +79,8 @@ OTHER_SHARE = 0.3
 """Share of the sweeps that are also sampled with the target of the other grid."""
 
 
-def make_file(folder: Path, scenes: list[WildScene]) -> None:
-    """Write features (K, F) and visibility (K,) of randomly sampled cells of some scenes into one file of a folder."""
-    path = folder / f"{scenes[0].name.rsplit('-', 1)[0]}-{len(scenes)}.npz"
-    if path.exists():
-        return
+def make_file(path: Path, scenes: list[WildScene]) -> None:
+    """Write features (K, F) and visibility (K,) of randomly sampled cells of some scenes into one file."""
     features, visible, numbers = [], [], []
     for scene in scenes:
         for number in range(scene.domain.sweeps):
@@ -273,11 +270,7 @@ def judge(given: argparse.Namespace) -> None:
 
 def make(given: argparse.Namespace) -> None:
     """Write sampled cells of the scenes of a set."""
-    first, last = map(int, given.scenes.split(":"))
-    domain = next(domain for domain in wild_tables().of_set(given.set) if domain.name == given.domain)
-    if given.set == "own" and first < domain.scenes:
-        raise SystemExit(f"--scenes must begin at {domain.scenes} or later for own: those before are judged")
-    make_files(given.out, [WildScene(domain, number) for number in range(first, last)], make_file)
+    make_files(given.out, scenes_of(given), make_file)
 
 
 def main(words: Sequence[str] | None = None) -> None:

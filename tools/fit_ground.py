@@ -20,15 +20,16 @@ import argparse
 import copy
 import time
 from collections.abc import Sequence
+from functools import partial
 from itertools import count
 from pathlib import Path
 
 import numpy as np
 import torch
-from fit_no_return import held_back, parser_of, parts_in, write_part
+from fit_no_return import held_back, make_files, parser_of, parts_in, scenes_of, write_part
 
 from viewshed.preprocess.leveling import level
-from viewshed_lab.data.wild import WildScene, wild_tables
+from viewshed_lab.data.wild import WildScene
 from viewshed_lab.training.unseen_ground import (
     GroundNet,
     Samples,
@@ -50,11 +51,8 @@ SHARES = {
 """Of the samples of a batch, by set and grid."""
 
 
-def make_file(folder: Path, scenes: list[WildScene], sweeps: int) -> None:
-    """Write the samples of scenes into one file of a folder; skip an existing file."""
-    path = folder / f"{scenes[0].name.rsplit('-', 1)[0]}-{len(scenes)}.npz"
-    if path.exists():
-        return
+def make_file(sweeps: int, path: Path, scenes: list[WildScene]) -> None:
+    """Write the samples of scenes into one file, of some sweeps each."""
     maps, ground, heights, numbers = [], [], [], []
     for scene in scenes:
         if scene.drawn_mounting().family.frame == "base":
@@ -75,14 +73,7 @@ def make_file(folder: Path, scenes: list[WildScene], sweeps: int) -> None:
 
 def make(given: argparse.Namespace) -> None:
     """Write the samples of a set."""
-    first, last = map(int, given.scenes.split(":"))
-    domain = next(domain for domain in wild_tables().of_set(given.set) if domain.name == given.domain)
-    if given.set == "own" and first < domain.scenes:
-        raise SystemExit(f"--scenes must begin at {domain.scenes} or later for own: those before are judged")
-    given.out.mkdir(parents=True, exist_ok=True)
-    for at in range(first, last, SCENES_OF_FILE):
-        scenes = [WildScene(domain, number) for number in range(at, min(at + SCENES_OF_FILE, last))]
-        make_file(given.out, scenes, given.sweeps)
+    make_files(given.out, scenes_of(given), partial(make_file, given.sweeps), SCENES_OF_FILE)
 
 
 class Sets:

@@ -25,7 +25,7 @@ from torch import nn
 from viewshed.arrays import Mask
 from viewshed.preprocess.leveling import LeveledSweep, level
 from viewshed.sweep import Sweep
-from viewshed_lab.data.wild import WildScene, wild_scenes
+from viewshed_lab.data.wild import WildScene, wild_tables
 from viewshed_lab.training.no_return import (
     Mixture,
     NoReturnNet,
@@ -37,7 +37,7 @@ from viewshed_lab.training.no_return import (
 
 Work = Callable[[argparse.Namespace], None]
 
-SCENES_OF_FILE, GROUPS_OF_SWEEP, BATCH, RATE = 10, 400, 2048, 3e-3
+GROUPS_OF_SWEEP, BATCH, RATE = 400, 2048, 3e-3
 HELD_SHARE = 0.12
 VARIANTS = ((False, False, False), (True, False, False), (True, True, False), (False, False, True), (False, True, True))
 """Variants of each sweep: with absorbing things, with lost returns, with a close cover of the sensor."""
@@ -46,11 +46,8 @@ CLEAN_SHARE = 0.7
 """Weight of the samples from unchanged sweeps in the training, against those from variants with lost returns."""
 
 
-def make_file(folder: Path, scenes: list[WildScene]) -> None:
-    """Write the samples of scenes into one file of a folder; skip an existing file."""
-    path = folder / f"{scenes[0].name.rsplit('-', 1)[0]}-{len(scenes)}.npz"
-    if path.exists():
-        return
+def make_file(path: Path, scenes: list[WildScene]) -> None:
+    """Write the samples of scenes into one file."""
     rows: list[Samples] = []
     clean, numbers = [], []
     for scene in scenes:
@@ -163,15 +160,28 @@ def with_cover(sweep: Sweep, rng: np.random.Generator) -> tuple[Sweep, Mask, NDA
 
 def make(arguments: argparse.Namespace) -> None:
     """Write the samples of a set."""
-    first, last = map(int, arguments.scenes.split(":"))
-    make_files(arguments.out, wild_scenes(arguments.set, arguments.domain)[first:last], make_file)
+    make_files(arguments.out, scenes_of(arguments), make_file)
 
 
-def make_files(folder: Path, scenes: list[WildScene], make_one: Callable[[Path, list[WildScene]], None]) -> None:
-    """Write the files of scenes, ``SCENES_OF_FILE`` scenes per file."""
+def scenes_of(given: argparse.Namespace) -> list[WildScene]:
+    """Return the scenes that the command line names; numbers beyond those of the set are fresh scenes of it."""
+    first, last = map(int, given.scenes.split(":"))
+    domain = next(domain for domain in wild_tables().of_set(given.set) if domain.name == given.domain)
+    if given.set == "own" and first < domain.scenes:
+        raise SystemExit(f"--scenes must begin at {domain.scenes} or later for own: those before are judged")
+    return [WildScene(domain, number) for number in range(first, last)]
+
+
+def make_files(
+    folder: Path, scenes: list[WildScene], make_one: Callable[[Path, list[WildScene]], None], per_file: int = 10
+) -> None:
+    """Write the files of scenes, ``per_file`` scenes each; skip those that exist."""
     folder.mkdir(parents=True, exist_ok=True)
-    for at in range(0, len(scenes), SCENES_OF_FILE):
-        make_one(folder, scenes[at : at + SCENES_OF_FILE])
+    for at in range(0, len(scenes), per_file):
+        some = scenes[at : at + per_file]
+        path = folder / f"{some[0].name.rsplit('-', 1)[0]}-{len(some)}.npz"
+        if not path.exists():
+            make_one(path, some)
 
 
 def descend(
