@@ -183,7 +183,7 @@ REFUSED: dict[str, list[dict[str, Any]]] = {
     "fill_ground": [{"walked_m": FLAT * F4(NAN)}, {"plane": np.full(3, INF, F4)}],
     "held_ground": [{"before_heights_m": FLAT * F4(NAN)}, {"before_from_now": FLAT}, {"height_m": NAN},
                     {"plane": (0.0, 0.0)}],
-    "map_returns": [{"azimuth": LONG[1:]}, {"seen": HALF[1:]}, {"half_m": 0.0}, {"sensor_height_m": NAN}],
+    "map_returns": [{"azimuth": LONG[1:]}, {"seen": HALF[1:]}, {"half_m": 0.0}, {"half_m": INF}, {"sensor_height_m": NAN}],
     "predict_ground": [{"maps": np.zeros((7, 128, 96), F4)}, {"sensor_height_m": INF}],
     "complete_ground": [{"rows": ROWS[1:]}, {"left_out": MASK[:0]}, {"heights_m": FLAT * F4(NAN)}, {"half_m": 0.0}],
     "identify_sensor": [{"ring": np.zeros(N - 1, I2)}, {"expected": 99}, {"expected": -2},

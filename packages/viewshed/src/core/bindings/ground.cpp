@@ -92,8 +92,8 @@ void bind_ground(nb::module_& m) {
            float half_m) {
             const std::size_t n = heights_m.shape(0);
             require(are_as_long(points, azimuth, range_m), "points, azimuth and range_m must be as long");
-            require(n >= 2 && heights_m.shape(1) == n && have_one_shape(heights_m, seen), "heights_m and seen must be (n, n)");
-            require(half_m > 0.0f, "half_m must be positive");
+            require(heights_m.shape(1) == n && have_one_shape(heights_m, seen), "heights_m and seen must be (n, n)");
+            require_lattice(n, half_m);
             require(std::fabs(sensor_height_m) <= MAX_M, "sensor_height_m must be finite");
             Buffer<float> maps = without_lock([&] {
                 return map_returns({view(points), view(azimuth), view(range_m), {nullptr, 0}, sensor_height_m},
