@@ -33,6 +33,7 @@ def test_level_ground_is_found_where_it_lies() -> None:
 def test_held_ground_is_taken_where_only_the_earlier_sweep_saw_it() -> None:
     heights, std, seen = held()
     assert np.allclose(heights, -1.8, atol=1e-5)
+    assert np.allclose(std[~seen], 1.0)
     # Bilinear heights need the next node, so that the last row and column stay as they were.
     assert seen[:-1, : NODES // 2].all()
     assert std[5, 5] == pytest.approx(np.hypot(np.sqrt(0.1**2 + 0.0025), 0.002 * np.hypot(26.5, 26.5)))
@@ -67,3 +68,79 @@ def test_what_lies_out_of_range_does_not_hide_that_the_sensor_is_tilted(far_m: f
     points[:10] = far_m, 0.0, 0.0
     rotation = call("level_sweep", points=points.astype(np.float32), ring=None)[1]
     assert rotation[2] == pytest.approx(np.array([-0.5, 0.0, 1.0]) / np.hypot(0.5, 1.0), abs=1e-3)
+
+
+# Maps of returns in polar bins, and the ground predicted from them.
+
+RETURNS, LOWEST, SECOND_LOWEST, HIGHEST, SEEN, SEEN_HEIGHT, PASSING, AIMED = range(8)
+
+
+def mapped(points: list[list[float]], seen_m: float | None = None, **named: Any) -> Any:
+    """Maps of level points (M, 3), the sensor 2 m above the ground; ground at this height is seen all around."""
+    array = np.array(points, np.float32).reshape(-1, 3)
+    azimuth, range_m = np.arctan2(array[:, 1], array[:, 0]), np.hypot(array[:, 0], array[:, 1])
+    seen = np.full((NODES, NODES), seen_m is not None)
+    heights_m = np.full((NODES, NODES), seen_m or 0.0, np.float32)
+    return _core.map_returns(array, azimuth, range_m, 2.0, heights_m, seen, 32.0)
+
+
+def bin_of(x_m: float, y_m: float = 0.01) -> tuple[int, int]:
+    """Bins of azimuth and range: 128 a turn, and 16 for each doubling from 1.5 m on."""
+    return int((np.arctan2(y_m, x_m) / np.pi + 1) * 64), int(16 * np.log2(np.hypot(x_m, y_m) / 1.5))
+
+
+def test_returns_are_counted_in_their_bins() -> None:
+    maps = mapped([[6.0, 0.01, 0.5], [6.01, 0.01, 0.1], [6.02, 0.01, 0.3], [-30.0, 0.01, -1.0], [0.5, 0.0, 0.0]])
+    assert maps.shape == (8, 128, 96)
+    at = bin_of(6.0)
+    assert [float(maps[which][at]) for which in (RETURNS, LOWEST, SECOND_LOWEST, HIGHEST)] == pytest.approx([3, 0.1, 0.3, 0.5])
+    behind = bin_of(-30.0)
+    assert [float(maps[which][behind]) for which in (RETURNS, LOWEST, SECOND_LOWEST, HIGHEST)] == [1, -1, -1, -1]
+    assert maps[RETURNS].sum() == 4
+    assert maps[SEEN].sum() == 0
+
+
+def test_the_lowest_beam_passes_over_the_bins_before_its_return() -> None:
+    maps = mapped([[20.0, 0.01, 0.0], [10.0, 0.01, 1.5]])
+    a, end = bin_of(20.0)
+    middle_m = 1.5 * 2 ** ((np.arange(96) + 0.5) / 16)
+    assert np.allclose(maps[PASSING][a, :end], 2.0 - 0.1 * middle_m[:end], atol=1e-4)
+    assert np.isinf(maps[PASSING][a, end:]).all()
+    assert np.isinf(maps[PASSING][a + 5]).all()
+    # It falls by .1 a meter, and would meet level ground at 20 m; the other one at 40 m.
+    assert maps[AIMED][bin_of(20.0)] == 1
+    assert maps[AIMED][bin_of(40.0)] == 1
+
+
+def test_seen_ground_is_mapped_and_what_lies_below_it_is_left_out() -> None:
+    maps = mapped([[12.0, 0.01, 0.0], [15.0, 0.01, -2.5]], seen_m=0.0)
+    a, k = bin_of(12.0)
+    assert maps[SEEN][a, :k].all()
+    assert not maps[SEEN_HEIGHT].any()
+    assert maps[RETURNS][a].sum() == 1
+    assert maps[RETURNS][bin_of(12.0)] == 1
+    # Without seen ground before it, it may be a pit.
+    assert mapped([[12.0, 0.01, 0.0], [15.0, 0.01, -2.5]])[RETURNS][a].sum() == 2
+
+
+def test_predicted_ground_continues_seen_ground_and_lies_below_beams() -> None:
+    rng = np.random.default_rng(4)
+    azimuth = rng.uniform(-np.pi, np.pi, 6000)
+    range_m = rng.choice([4.0, 6.0, 9.0, 14.0, 22.0], 6000)
+    points = np.stack([np.cos(azimuth) * range_m, np.sin(azimuth) * range_m, np.zeros(6000)], 1).astype(np.float32)
+    nodes_m = np.arange(NODES) + 0.5 - NODES / 2
+    node_m = np.hypot(nodes_m[:, None], nodes_m[None])
+    seen = np.abs(node_m[..., None] - [4.0, 6.0, 9.0, 14.0, 22.0]).min(-1) < 0.5
+    heights_m, std_m = np.full((2, NODES, NODES), 99.0, np.float32)
+    heights_m[seen], std_m[seen] = 0.0, 0.05
+    of = {"points": points, "azimuth": azimuth.astype(np.float32), "range_m": range_m.astype(np.float32),
+          "rows": np.arange(6000, dtype=np.int32), "sensor_height_m": 2.0}  # fmt: skip
+    found_m, found_std_m = call("complete_ground", heights_m=np.where(seen, 0, 99).astype(np.float32), std_m=std_m, seen=seen, **of)
+    near = node_m < 22.0
+    assert np.abs(found_m[near]).max() < 0.15
+    assert (found_m[seen] == 0.0).all()
+    assert (found_std_m[seen] == np.float32(0.05)).all()
+    assert (found_std_m[~seen] >= 0.0).all()
+    # Points that are left out show nothing.
+    none = call("complete_ground", heights_m=heights_m, std_m=std_m, seen=seen, left_out=np.ones(6000, np.bool_), **of)
+    assert not np.array_equal(none[1], found_std_m)
