@@ -7,8 +7,8 @@
     python tools/fit_ground.py make own indoor --scenes 16:616 --sweeps 1 --out samples
     python tools/fit_ground.py fit samples --minutes 75 --out packages/viewshed/src/core/ground_network.inc
 
-``make`` writes one file for 50 scenes and resumes where it was stopped; run two at once on two cores. ``fit`` trains for
-the given time, keeps a checkpoint beside the samples and resumes from it, keeps whole scenes of each file for
+``make`` writes one file for 50 scenes and resumes where it was stopped; run two at once on two cores. ``fit`` trains
+for the given time, keeps a checkpoint beside the samples and resumes from it, keeps whole scenes of each file for
 validation, and writes the network as C++, which is compiled into the core. The scenes of ``own`` that the study of the
 wild judges (the first 40 and 16), the development set and the sealed set are not used.
 """
@@ -16,6 +16,7 @@ wild judges (the first 40 and 16), the development set and the sealed set are no
 from __future__ import annotations
 
 import argparse
+import copy
 import time
 from collections.abc import Sequence
 from itertools import count
@@ -112,18 +113,24 @@ class Sets:
     @torch.no_grad()
     def validated(self, net: GroundNet) -> dict[str, float]:
         """Return the mean loss of the samples that are held back, by set and grid; of at most four files each."""
-        net.eval()
         losses = {}
         for name in self.names:
             some = [Samples(*(column[:32].float() for column in file)) for file in self.held[name][:4]]
             losses[name] = float(np.mean([float(_loss(net, samples)) for samples in some]))
-        net.train()
         return losses
 
 
 def _loss(net: GroundNet, samples: Samples) -> torch.Tensor:
     inputs, base = inputs_of(samples)
     return loss_of(net(inputs.contiguous(memory_format=torch.channels_last)), samples, base)
+
+
+@torch.no_grad()
+def average(averaged: GroundNet, net: GroundNet) -> None:
+    """Move averaged weights a step towards those of a network."""
+    for mean, value in zip(averaged.state_dict().values(), net.state_dict().values(), strict=True):
+        if mean.is_floating_point():
+            mean.lerp_(value, AVERAGED)
 
 
 def fit(given: argparse.Namespace) -> None:
@@ -133,9 +140,7 @@ def fit(given: argparse.Namespace) -> None:
     checkpoint = given.folder / "checkpoint.pt"
     sets, net = Sets(given.folder), GroundNet()
     optimizer = torch.optim.AdamW(net.parameters(), RATE, weight_decay=DECAY)
-    averaged = torch.optim.swa_utils.AveragedModel(
-        net, multi_avg_fn=torch.optim.swa_utils.get_ema_multi_avg_fn(1 - AVERAGED), use_buffers=True
-    )
+    averaged = copy.deepcopy(net).eval()
     first, spent_s = 0, 0.0
     if checkpoint.exists():
         saved = torch.load(checkpoint)
@@ -155,14 +160,13 @@ def fit(given: argparse.Namespace) -> None:
         loss.backward()
         torch.nn.utils.clip_grad_norm_(net.parameters(), 1.0)
         optimizer.step()
-        averaged.update_parameters(net)
+        average(averaged, net)
         if step % STEPS_OF_CHECKPOINT == 0 or done == 1.0:
-            losses = ", ".join(f"{name} {loss:.3f}" for name, loss in sets.validated(averaged.module).items())
-            print(f"step {step}, {60 * given.minutes * done:.0f} s: {float(loss):.3f}; held back: {losses}", flush=True)
+            losses = ", ".join(f"{name} {loss:.3f}" for name, loss in sets.validated(averaged).items())
+            print(f"step {step}, {60 * given.minutes * done:.0f} s: {loss.item():.3f}; held back: {losses}", flush=True)
             state = {"net": net.state_dict(), "averaged": averaged.state_dict(), "optimizer": optimizer.state_dict()}
             torch.save(state | {"step": step, "spent_s": time.monotonic() - start_s}, checkpoint)
-            averaged.module.eval()
-            given.out.write_text(source_of_network(averaged.module.convolutions()), encoding="ascii")
+            given.out.write_text(source_of_network(averaged.convolutions()), encoding="ascii")
         if done == 1.0:
             return
 

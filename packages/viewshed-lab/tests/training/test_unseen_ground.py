@@ -43,7 +43,9 @@ def layers_of(source: str) -> list[tuple[Tensor, Tensor]]:
     layers = []
     for number, (size, inputs, outputs) in enumerate(table):
         weight = torch.tensor([float(value) for value in arrays[f"WEIGHT_{number}"]])
-        scale, bias = (torch.tensor([float(value) for value in arrays[f"{name}_{number}"]]) for name in ("SCALE", "BIAS"))
+        scale, bias = (
+            torch.tensor([float(value) for value in arrays[f"{name}_{number}"]]) for name in ("SCALE", "BIAS")
+        )
         layers.append(((weight.reshape(size, size, inputs, outputs) * scale).permute(3, 2, 0, 1), bias))
     return layers
 
@@ -71,7 +73,9 @@ def test_the_core_answers_as_the_network_does(set_name: str, domain: str, given:
     seen = wild_scenes(set_name, domain)[3].observe(0)
     leveled = level(seen.given(given), seen.truth.grid)
     maps, net = maps_of(leveled), network_of(layers_of(SHIPPED.read_text("ascii")))
-    samples = Samples(torch.tensor(maps)[None], torch.zeros(1, *maps.shape[1:]), torch.tensor([leveled.sensor_height_m]))
+    samples = Samples(
+        torch.tensor(maps)[None], torch.zeros(1, *maps.shape[1:]), torch.tensor([leveled.sensor_height_m])
+    )
     with torch.no_grad():
         inputs, base = inputs_of(samples)
         quantiles = quantiles_of(net(inputs))
@@ -157,4 +161,6 @@ def test_the_loss_is_least_at_the_quantiles() -> None:
         return float(loss_of(outputs, samples, base))
 
     best = loss(0.0, float(right))
-    assert best < min(loss(0.2, float(right)), loss(-0.2, float(right)), loss(0.0, float(right) + 0.7), loss(0.0, float(right) - 0.7))
+    assert best < min(
+        loss(0.2, float(right)), loss(-0.2, float(right)), loss(0.0, float(right) + 0.7), loss(0.0, float(right) - 0.7)
+    )

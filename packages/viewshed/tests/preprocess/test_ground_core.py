@@ -93,7 +93,9 @@ def test_returns_are_counted_in_their_bins() -> None:
     maps = mapped([[6.0, 0.01, 0.5], [6.01, 0.01, 0.1], [6.02, 0.01, 0.3], [-30.0, 0.01, -1.0], [0.5, 0.0, 0.0]])
     assert maps.shape == (8, 128, 96)
     at = bin_of(6.0)
-    assert [float(maps[which][at]) for which in (RETURNS, LOWEST, SECOND_LOWEST, HIGHEST)] == pytest.approx([3, 0.1, 0.3, 0.5])
+    assert [float(maps[which][at]) for which in (RETURNS, LOWEST, SECOND_LOWEST, HIGHEST)] == pytest.approx(
+        [3, 0.1, 0.3, 0.5]
+    )
     behind = bin_of(-30.0)
     assert [float(maps[which][behind]) for which in (RETURNS, LOWEST, SECOND_LOWEST, HIGHEST)] == [1, -1, -1, -1]
     assert maps[RETURNS].sum() == 4
@@ -135,7 +137,9 @@ def test_predicted_ground_continues_seen_ground_and_lies_below_beams() -> None:
     heights_m[seen], std_m[seen] = 0.0, 0.05
     of = {"points": points, "azimuth": azimuth.astype(np.float32), "range_m": range_m.astype(np.float32),
           "rows": np.arange(6000, dtype=np.int32), "sensor_height_m": 2.0}  # fmt: skip
-    found_m, found_std_m = call("complete_ground", heights_m=np.where(seen, 0, 99).astype(np.float32), std_m=std_m, seen=seen, **of)
+    found_m, found_std_m = call(
+        "complete_ground", heights_m=np.where(seen, 0, 99).astype(np.float32), std_m=std_m, seen=seen, **of
+    )
     near = node_m < 22.0
     assert np.abs(found_m[near]).max() < 0.15
     assert (found_m[seen] == 0.0).all()

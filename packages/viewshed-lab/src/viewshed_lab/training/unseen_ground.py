@@ -87,7 +87,7 @@ def augmented(samples: Samples, rng: np.random.Generator) -> Samples:
 
     All these keep lines straight, so that the beams remain beams.
     """
-    rows = [_augmented(*(column[k] for column in samples), rng) for k in range(len(samples.height_m))]
+    rows = [_augmented(*row, rng) for row in zip(*samples, strict=True)]
     return Samples(*(torch.stack(column) for column in zip(*rows, strict=True)))
 
 
@@ -125,21 +125,22 @@ def _augmented(
 def base_of(seen: Tensor, height_m: Tensor) -> Tensor:
     """Return the base surface (B, azimuths, ranges): seen heights, and averages over ever coarser bins between them."""
     levels = [((seen * height_m)[:, None], seen[:, None])]
-    while (size := levels[-1][0].shape[2:]) != (1, 1):
-        ratio = tuple(2 if n % 2 == 0 else (3 if n % 3 == 0 else 1) for n in size)
+    while levels[-1][0].shape[2:] != (1, 1):
         z, weight = levels[-1]
-        count = ratio[0] * ratio[1]
-        total = functional.avg_pool2d(weight, ratio) * count
-        mean = functional.avg_pool2d(z * weight, ratio) * count / total.clamp_min(1e-6)
+        rows, columns = z.shape[2:]
+        cells = (2 if rows % 2 == 0 else 1, 2 if columns % 2 == 0 else (3 if columns % 3 == 0 else 1))
+        count = cells[0] * cells[1]
+        total = functional.avg_pool2d(weight, cells) * count
+        mean = functional.avg_pool2d(z * weight, cells) * count / total.clamp_min(1e-6)
         levels.append((torch.where(total > 0, mean, 0.0), total.clamp_max(1.0)))
     coarse = levels[-1][0]
     for z, weight in levels[-2::-1]:
         rows, columns = z.shape[2:]
-        ratio = rows // coarse.shape[2]
+        finer = rows // coarse.shape[2]
         # Bilinear; azimuths wrap around.
         wide = functional.pad(coarse, (0, 0, 1, 1), mode="circular")
-        size = (wide.shape[2] * ratio, columns)
-        between = functional.interpolate(wide, size=size, mode="bilinear", align_corners=False)[:, :, ratio:-ratio]
+        size = [wide.shape[2] * finer, columns]
+        between = functional.interpolate(wide, size=size, mode="bilinear", align_corners=False)[:, :, finer:-finer]
         coarse = weight * z + (1 - weight) * between
     return coarse[:, 0]
 
@@ -218,7 +219,8 @@ class GroundNet(nn.Module):
 
 def _normalized(convolution: nn.Conv2d, norm: nn.BatchNorm2d) -> tuple[Tensor, Tensor]:
     """Return weights and bias of a convolution followed by its normalization."""
-    assert norm.running_mean is not None and norm.running_var is not None
+    assert norm.running_mean is not None
+    assert norm.running_var is not None
     scale = norm.weight / torch.sqrt(norm.running_var + norm.eps)
     weight = convolution.weight * scale[:, None, None, None]
     return weight.detach(), (norm.bias - norm.running_mean * scale).detach()

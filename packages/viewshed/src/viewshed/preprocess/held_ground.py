@@ -1,11 +1,10 @@
 """Ground and sensor height carried over from earlier sweeps of a stream.
 
 Ground is static. Nodes that a sweep does not see take the height from the earlier sweep, if both sweeps agree on ground
-that both see nearby; their standard deviation grows with time and distance. Nodes that neither sees are predicted
-from both. Where the sweeps disagree, the current one
-wins and the carried-over ground is dropped. If the sensor height of a sweep differs from that of the last sweeps, theirs
-is used, unless the returns support its own. The height of a sensor at rest is constant: the value that most of the last
-estimates are close to.
+that both see nearby; their standard deviation grows with time and distance. Nodes that neither sees are predicted from
+both. Where the sweeps disagree, the current one wins and the carried-over ground is dropped. If the sensor height of a
+sweep differs from that of the last sweeps, theirs is used, unless the returns support its own. The height of a sensor
+at rest is constant: the value that most of the last estimates are close to.
 
 Each sweep stores what it carries over and holds no reference to earlier sweeps.
 
