@@ -1,10 +1,11 @@
 """Fit the network that predicts the ground without returns.
 
-    python tools/fit_ground.py make learning road --scenes 0:7000 --sweeps 2 --out samples
-    python tools/fit_ground.py make own road --scenes 40:1540 --sweeps 2 --out samples
-    python tools/fit_ground.py make training road --scenes 0:1500 --sweeps 2 --out samples
-    python tools/fit_ground.py make training indoor --scenes 0:600 --sweeps 1 --out samples
-    python tools/fit_ground.py make own indoor --scenes 16:616 --sweeps 1 --out samples
+    python tools/fit_ground.py make learning road --scenes 0:3200 --out samples
+    python tools/fit_ground.py make learning road --scenes 5000:6800 --out samples
+    python tools/fit_ground.py make own road --scenes 40:1240 --out samples
+    python tools/fit_ground.py make training road --scenes 0:1000 --out samples
+    python tools/fit_ground.py make training indoor --scenes 0:500 --sweeps 1 --out samples
+    python tools/fit_ground.py make own indoor --scenes 16:516 --sweeps 1 --out samples
     python tools/fit_ground.py fit samples --minutes 75 --out packages/viewshed/src/core/ground_network.inc
 
 ``make`` writes one file for 50 scenes and resumes where it was stopped; run two at once on two cores. ``fit`` trains

@@ -30,8 +30,8 @@ returns ([what visible means](../conventions.md#visible)).
 _COMPILED = """\
 ## Networks of the default
 
-`shadow_map` uses two small networks, compiled into the core in float32. They do not depend on a grid, and no attack was
-in their training. They are fitted to scenes `from:to` of the [worlds in the wild](../simulate.md); the last 12 %
+`shadow_map` uses three networks, compiled into the core. They do not depend on a grid, and no attack was in their
+training. They are fitted to scenes `from:to` of the [worlds in the wild](../simulate.md); the last 12 %
 of each file are held out. The development set and the sealed set were not used."""
 _COMMANDS = "These commands fit them again, in this order (`make priors`):"
 _TRAINING = """\
@@ -119,6 +119,7 @@ class Prior:
 
 
 PRIORS = (
+    Prior("ground_network.inc", "fit_ground.py", "height of the ground in polar bins: three quantiles"),
     Prior("no_return_network.inc", "fit_no_return.py",
           "where beams without a return ended: weights of seven places, of an unseen one (log2 m) and of none"),
     Prior("calibration_network.inc", "fit_calibration.py", "logit of the probability that a cell is visible"),
@@ -134,12 +135,19 @@ def commands_of(tool: str) -> list[str]:
 def _compiled(prior: Prior) -> list[str]:
     path = ROOT / "packages" / "viewshed" / "src" / "core" / prior.file
     source = path.read_bytes()
-    arrays = arrays_of(source.decode("ascii"))
-    layers = [len(arrays["mean"]), *(len(array) for name, array in arrays.items() if name.endswith("_bias"))]
+    text = source.decode("ascii")
+    if sizes := re.findall(r"\{(\d+), (\d+), (\d+), WEIGHT", text):
+        outputs = [int(of) for _, _, of in sizes]
+        weights = sum(int(size) ** 2 * int(inputs) * int(of) for size, inputs, of in sizes)
+        layers = f"U-Net: {len(sizes)} convolutions, up to {max(outputs)} channels, {weights:,} weights in bytes"
+    else:
+        arrays = arrays_of(text)
+        counts = [len(arrays["mean"]), *(len(array) for name, array in arrays.items() if name.endswith("_bias"))]
+        layers = " → ".join(map(str, counts))
     made = re.findall(r"make (\w+) (\w+) --scenes (\S+)", "\n".join(commands_of(prior.tool)))
     return [
         f"`{prior.file}`", f"{len(source) / 1000:.0f}", f"`{hashlib.sha256(source).hexdigest()[:12]}…`",
-        " → ".join(map(str, layers)), prior.says, ", ".join(f"{name} {domain} {part}" for name, domain, part in made),
+        layers, prior.says, ", ".join(f"{name} {domain} {part}" for name, domain, part in made),
     ]  # fmt: skip
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 import viewshed
 from viewshed import GRIDS, Rigid, _core
@@ -15,6 +15,7 @@ from viewshed_lab.data.wild import wild_scenes
 from viewshed_lab.sim.terrain import Terrain
 from viewshed_lab.training.unseen_ground import (
     AZIMUTH,
+    MODES,
     PASSING,
     RANGE_M,
     RETURNS,
@@ -26,6 +27,7 @@ from viewshed_lab.training.unseen_ground import (
     base_of,
     exact_ground,
     inputs_of,
+    log_density,
     loss_of,
     maps_of,
     quantiles_of,
@@ -62,9 +64,9 @@ def network_of(layers: list[tuple[Tensor, Tensor]]) -> GroundNet:
             convolution.weight.copy_(weight)
             norm.bias.copy_(bias)
             norm.running_var.fill_(1.0 - norm.eps)
-        net.last.weight.copy_(layers[-1][0])
-        assert isinstance(net.last.bias, nn.Parameter)
-        net.last.bias.copy_(layers[-1][1])
+        assert net.last.bias is not None
+        net.last.weight[MODES * 4 :] = layers[-1][0]
+        net.last.bias[MODES * 4 :] = layers[-1][1]
     return net.eval()
 
 
@@ -157,10 +159,19 @@ def test_the_loss_is_least_at_the_quantiles() -> None:
     right = torch.log(torch.expm1(apart)) + 1.0
 
     def loss(median: float, spread: float) -> float:
-        outputs = torch.stack([torch.full_like(units, value) for value in (median, spread, spread)], 1)
+        values = (*[0.0] * MODES, median, spread, spread)
+        outputs = torch.stack([torch.full_like(units, value) for value in values], 1)
         return float(loss_of(outputs, samples, base))
 
     best = loss(0.0, float(right))
     assert best < min(
         loss(0.2, float(right)), loss(-0.2, float(right)), loss(0.0, float(right) + 0.7), loss(0.0, float(right) - 0.7)
     )
+
+
+def test_the_modes_are_a_distribution() -> None:
+    rng = np.random.default_rng(3)
+    outputs = torch.tensor(rng.normal(0, 1, (5, MODES + 3, 1, 1)).astype(np.float32))
+    units = torch.linspace(-120, 120, 60_001)
+    density = torch.exp(log_density(outputs, units[None, :, None].expand(5, -1, 1)))
+    assert torch.allclose(torch.trapezoid(density[..., 0], units), torch.ones(5), atol=2e-3)

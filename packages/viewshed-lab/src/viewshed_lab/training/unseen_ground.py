@@ -32,6 +32,9 @@ CHANNELS, FOLD, MAX_UNITS = 13, 2, 6.0
 PROBABILITIES = (0.15, 0.5, 0.85)
 """Of the quantiles: the middles of the shares .3, .4 and .3, over which visibility is averaged."""
 
+MODES = 5
+"""Outputs that describe two modes, followed by the quantiles."""
+
 MAX_TARGET = 12.0
 """Limit of the exact height in units: what lies farther off weighs no more."""
 
@@ -177,7 +180,9 @@ class _Convolution(nn.Module):
 
 
 class GroundNet(nn.Module):
-    """The network of the core: inputs (B, CHANNELS, azimuths, ranges), outputs (B, 3, azimuths, ranges).
+    """The network of the core: inputs (B, CHANNELS, azimuths, ranges), outputs (B, MODES + 3, azimuths, ranges).
+
+    The modes are for the fit alone: the core has the quantiles.
 
     Args:
         widths: channels of each level, the finest first.
@@ -195,7 +200,7 @@ class GroundNet(nn.Module):
             nn.Sequential(_Convolution(a + b, b), _Convolution(b, b))
             for a, b in zip(widths[:0:-1], widths[-2::-1], strict=True)
         )
-        self.last = nn.Conv2d(widths[0], len(PROBABILITIES) * FOLD**2, 1)
+        self.last = nn.Conv2d(widths[0], (MODES + len(PROBABILITIES)) * FOLD**2, 1)
         nn.init.normal_(self.last.weight, std=0.01)  # begins with the base
 
     def forward(self, inputs: Tensor) -> Tensor:
@@ -210,11 +215,12 @@ class GroundNet(nn.Module):
         return outputs
 
     def convolutions(self) -> list[tuple[Tensor, Tensor]]:
-        """Return weights (outputs, inputs, size, size) and biases (outputs,), normalization included, in order."""
+        """Return weights (outputs, inputs, size, size) and biases (outputs,) of the core's layers, in order."""
         layers = [_normalized(self.first, self.norm)]
         layers += [_normalized(layer.convolution, layer.norm) for block in (*self.down, *self.up) for layer in block]
         assert self.last.bias is not None
-        return [*layers, (self.last.weight.detach(), self.last.bias.detach())]
+        kept = slice(MODES * FOLD**2, None)
+        return [*layers, (self.last.weight.detach()[kept], self.last.bias.detach()[kept])]
 
 
 def _normalized(convolution: nn.Conv2d, norm: nn.BatchNorm2d) -> tuple[Tensor, Tensor]:
@@ -227,26 +233,40 @@ def _normalized(convolution: nn.Conv2d, norm: nn.BatchNorm2d) -> tuple[Tensor, T
 
 
 def quantiles_of(outputs: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Return the quantiles (B, azimuths, ranges) of outputs (B, 3, azimuths, ranges), in units above the base."""
-    median, below, above = outputs.unbind(1)
+    """Return the quantiles (B, azimuths, ranges) of outputs (B, MODES + 3, …), in units above the base."""
+    median, below, above = outputs[:, MODES:].unbind(1)
     return median - functional.softplus(below - 1.0), median, median + functional.softplus(above - 1.0)
 
 
-def loss_of(outputs: Tensor, samples: Samples, base: Tensor) -> Tensor:
-    """Return the weighted mean quantile loss.
+def log_density(outputs: Tensor, units: Tensor) -> Tensor:
+    """Return the log density of heights (B, azimuths, ranges): a mixture of two Laplace distributions, one lower.
 
+    The ground goes on, or falls away.
+    """
+    upper, apart, log_upper, log_lower, logit = outputs[:, :MODES].unbind(1)
+    lower = upper - functional.softplus(apart + 0.5)
+    log_upper, log_lower, logit = log_upper.clamp(-6, 3) - 1.5, log_lower.clamp(-6, 3) - 0.5, logit - 1.0
+    goes_on = functional.logsigmoid(-logit) - log_upper - (units - upper).abs() * torch.exp(-log_upper)
+    falls = functional.logsigmoid(logit) - log_lower - (units - lower).abs() * torch.exp(-log_lower)
+    return torch.logaddexp(goes_on, falls) - np.log(2.0)
+
+
+def loss_of(outputs: Tensor, samples: Samples, base: Tensor) -> Tensor:
+    """Return the weighted mean of the quantile loss minus the log density of the two modes.
+
+    The density makes small errors count where the ground is nearly certain; without it, F1 on unseen roads was lower.
     Bins weigh as their width times 1 / (1 + range / 30 m), those over which no beam passes a fifth, seen ones hardly:
     their heights are kept.
     """
     known = torch.isfinite(samples.ground_m)
-    exact = torch.where(known, (samples.ground_m - base) / _UNIT_M, 0.0).clamp(-MAX_TARGET, MAX_TARGET)
+    units = torch.where(known, (samples.ground_m - base) / _UNIT_M, 0.0).clamp(-MAX_TARGET, MAX_TARGET)
     range_m = torch.tensor(RANGE_M)
     weight = known * (range_m / (1 + range_m / 30.0))
     weight = weight * torch.where(samples.maps[:, SEEN] > 0, 0.05, 1.0)
     weight = weight * torch.where(torch.isfinite(samples.maps[:, PASSING]), 1.0, 0.2)
-    loss = torch.zeros_like(exact)
+    loss = -log_density(outputs, units)
     for probability, quantile in zip(PROBABILITIES, quantiles_of(outputs), strict=True):
-        off = exact - quantile
+        off = units - quantile
         loss = loss + torch.maximum(probability * off, (probability - 1.0) * off)
     return (weight * loss).sum() / weight.sum()
 
