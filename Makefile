@@ -70,14 +70,14 @@ soak: $(VENV)/.test  ## pipeline and ROS 2 node worked for half an hour each (MI
 # fitted to what it says.
 FITTED ?= build/priors
 FIT := OMP_NUM_THREADS=1 $(BIN)/python tools/
-priors: $(VENV)/.test  ## the networks of the default and that of the ground, fitted anew and compiled in; goes on where it was stopped
+priors: $(VENV)/.test  ## the three networks of the default, fitted anew and compiled in; goes on where it was stopped
 	$(FIT)fit_ground.py make learning road --scenes 0:3200 --out $(FITTED)/ground
 	$(FIT)fit_ground.py make learning road --scenes 5000:6800 --out $(FITTED)/ground
 	$(FIT)fit_ground.py make own road --scenes 40:1240 --out $(FITTED)/ground
 	$(FIT)fit_ground.py make training road --scenes 0:1000 --out $(FITTED)/ground
 	$(FIT)fit_ground.py make training indoor --scenes 0:500 --sweeps 1 --out $(FITTED)/ground
 	$(FIT)fit_ground.py make own indoor --scenes 16:516 --sweeps 1 --out $(FITTED)/ground
-	$(FIT)fit_ground.py fit $(FITTED)/ground --minutes 44 --out packages/viewshed/src/core/ground_network.inc
+	$(FIT)fit_ground.py fit $(FITTED)/ground --out packages/viewshed/src/core/ground_network.inc
 	$(PIP) --editable packages/viewshed
 	$(FIT)fit_no_return.py make learning road --scenes 0:1500 --out $(FITTED)/samples
 	$(FIT)fit_no_return.py make training road --scenes 0:1000 --out $(FITTED)/samples

@@ -30,10 +30,9 @@ returns ([what visible means](../conventions.md#visible)).
 _COMPILED = """\
 ## Networks of the default
 
-`shadow_map` uses small networks, compiled into the core; that of the ground is not used yet. They do not depend on a
-grid, and no attack was in their training. They are fitted to scenes `from:to` of the
-[worlds in the wild](../simulate.md); the last 12 % of each file are held out. The development set and the sealed set
-were not used."""
+`shadow_map` uses three networks, compiled into the core. They do not depend on a grid, and no attack was in their
+training. They are fitted to scenes `from:to` of the [worlds in the wild](../simulate.md); the last 12 %
+of each file are held out. The development set and the sealed set were not used."""
 _COMMANDS = "These commands fit them again, in this order (`make priors`):"
 _TRAINING = """\
 ## Training

@@ -476,8 +476,8 @@ double estimated_height_m(const Lows& lows) {
 }  // namespace
 
 FoundGround estimate_ground(const Lattice& lattice, const Lows& lows, double height_m) {
-    const std::size_t n = lattice.nodes, size = lattice.size();
-    FoundGround ground{Buffer<float>(size), Buffer<float>(size), Buffer<bool>(size), carrier_plane(lows, height_m),
+    const std::size_t size = lattice.size();
+    FoundGround ground{Buffer<float>(size), Buffer<bool>(size), carrier_plane(lows, height_m),
                   std::numeric_limits<double>::quiet_NaN()};
     // Walk, attach low points that continue the ground, and walk again from there, ignoring levels of a single sector.
     Patches patches(lows, float(lattice.node_m));
@@ -494,10 +494,10 @@ FoundGround estimate_ground(const Lattice& lattice, const Lows& lows, double hei
     });
     walk.walk(ground.seen.data(), unconfirmed.data());
     std::copy_n(walk.accepted.data(), size, ground.seen.data());
-    fill_ground(lattice, walk.height_m, ground.seen, ground.carrier.plane, ground.heights_m, ground.std_m);
+    std::copy_n(walk.height_m.data(), size, ground.heights_m.data());
     // No plane, or one at the sensor's own height: no ground is seen.
     const bool is_known = std::isfinite(height_m);
-    const bool is_own = double(ground.heights_m[(n / 2) * n + n / 2]) > -MIN_HEIGHT_M;
+    const bool is_own = double(ground.carrier.plane[2]) > -MIN_HEIGHT_M;
     if (ground.carrier.support < MIN_SUPPORT || (!is_known && is_own)) {
         ground.level_m = -(is_known ? height_m : estimated_height_m(lows));
     }

@@ -16,22 +16,8 @@ namespace {
 // Standard deviation of nodes with returns on the ground.
 constexpr float SEEN_STD_M = 0.05f;
 
-// Standard deviation per meter of node side; its minimum per meter beyond the last return of a direction.
+// Standard deviation per meter of node side.
 constexpr double GROWTH = 0.015;
-constexpr float BEYOND_GROWTH = 0.01f;
-
-// If the heights across a gap differ by more than twice this, the ground in it may be as high as either.
-constexpr float STEP_M = 0.3f;
-
-// The land has a lower level if this share of the seen nodes lies this far below the carrier plane.
-constexpr float LOWER_LEVEL_M = 1.0f;
-constexpr double LOWEST_SHARE = 0.05;
-
-// Beyond the last return of a direction the ground may fall to that level: assume half the fall, up to this slope.
-constexpr float FALL = 0.03f;
-
-// Between two returns of a direction, ground lies between their heights, plus this slope from the nearer one.
-constexpr float GAP_SLOPE = 0.02f;
 
 // Ground this far off the carrier plane is a separate level that another direction must confirm.
 constexpr float LEVEL_M = 0.3f;
@@ -267,95 +253,6 @@ void fill(const Level& level, double node_m, Buffer<float>& scratch) {
     smooth(level, scratch);
 }
 
-// Return the depth of a lower level below the base, 0 for none.
-float find_lower_level(std::vector<float> above_m) {
-    if (above_m.empty()) return 0.0f;
-    const auto k = above_m.begin() + std::ptrdiff_t(LOWEST_SHARE * double(above_m.size()));
-    std::nth_element(above_m.begin(), k, above_m.end());
-    return -*k > LOWER_LEVEL_M ? -*k : 0.0f;
-}
-
-// Nearest seen node before and behind each bin of a sector: its height above the base, its bin, and the base.
-struct Gaps {
-    explicit Gaps(std::size_t bins)
-        : near_seen(bins * SECTORS), near_bin(bins * SECTORS), far_seen(bins * SECTORS), far_bin(bins * SECTORS),
-          far_base(bins * SECTORS) {}
-    Buffer<float> near_seen, near_bin, far_seen, far_bin, far_base;  // far_bin is -1 if nothing is seen behind
-};
-
-MULTIVERSION void find_gaps(const Profiles& profiles, Gaps& gaps) {
-    const std::size_t bins = profiles.bins;
-    const float *seen = profiles.seen.data(), *base = profiles.base.data();
-    float *near_seen = gaps.near_seen.data(), *near_bin = gaps.near_bin.data();
-    float *far_seen = gaps.far_seen.data(), *far_bin = gaps.far_bin.data(), *far_base = gaps.far_base.data();
-    for (std::size_t s = 0; s < SECTORS; ++s) {
-        near_seen[s] = seen[s] == seen[s] ? seen[s] : 0.0f;
-        near_bin[s] = 0.0f;
-    }
-    for (std::size_t b = 1; b < bins; ++b) {
-        for (std::size_t at = b * SECTORS; at < (b + 1) * SECTORS; ++at) {
-            near_seen[at] = seen[at] == seen[at] ? seen[at] : near_seen[at - SECTORS];
-            near_bin[at] = seen[at] == seen[at] ? float(b) : near_bin[at - SECTORS];
-        }
-    }
-    for (std::size_t at = (bins - 1) * SECTORS; at < bins * SECTORS; ++at) {
-        far_bin[at] = -1.0f;
-        far_seen[at] = far_base[at] = 0.0f;
-    }
-    for (std::size_t b = bins - 1; b-- > 0;) {
-        for (std::size_t at = b * SECTORS; at < (b + 1) * SECTORS; ++at) {
-            const std::size_t next = at + SECTORS;
-            const bool is_seen = seen[next] == seen[next];
-            far_seen[at] = is_seen ? seen[next] : far_seen[next];
-            far_bin[at] = is_seen ? float(b + 1) : far_bin[next];
-            far_base[at] = is_seen ? base[next] : far_base[next];
-        }
-    }
-}
-
-// Raise the standard deviation in gaps along the lines of sight, and correct heights there. Behind an edge the ground
-// lies below the beam that passes it, and not far below the point where that beam meets the ground. Beyond the last
-// return the ground may be as nearby, or at a level `lower` meters below the base. All z are relative to the sensor.
-void doubt_gaps(const Lattice& lattice, const Gaps& gaps, View1<const float> base, View1<const bool> known, float lower,
-                View1<float> heights, View1<float> std) {
-    const auto node_m = float(lattice.node_m);
-    const float growth = BEYOND_GROWTH * node_m;
-    for_ranges(lattice.size(), count_parts(lattice.size(), PART), [&](std::size_t, std::size_t begin, std::size_t end) {
-        for (std::size_t at = begin; at < end; ++at) {
-            if (known[at]) continue;
-            const std::size_t sector = std::size_t(lattice.azimuth[at]) % SECTORS;
-            const std::size_t cell = std::size_t(lattice.bin[at]) * SECTORS + sector;
-            const float r = lattice.range_nodes[at], far = gaps.far_bin[cell];
-            if (far < 0.0f) {
-                const float away = r - gaps.near_bin[cell];
-                std[at] = std::max(std[at], growth * away);
-                if (lower > 0.0f) {
-                    const float fall = std::min(0.5f * (heights[at] - base[at] + lower), FALL * node_m * away);
-                    heights[at] -= std::max(fall, 0.0f);
-                    std[at] = std::max(std[at], fall);
-                }
-                continue;
-            }
-            const float before = gaps.near_seen[cell], behind = gaps.far_seen[cell];
-            float high = std::max(before, behind) + base[at];
-            const float low = std::min(before, behind) + base[at];
-            if (behind < before) {
-                const float beam = (behind + gaps.far_base[cell]) * r / (far + 0.5f);
-                high = std::max(std::min(high, beam), low);
-            }
-            const float apart = 0.5f * (high - low);
-            std[at] = std::max(std[at], apart);
-            if (0.5f * std::fabs(before - behind) > STEP_M) {
-                heights[at] = 0.5f * (high + low);
-            } else {
-                // Clamp to the range that this direction shows on both sides.
-                const float slack = SEEN_STD_M + GAP_SLOPE * node_m * std::min(far - r, r - gaps.near_bin[cell]);
-                heights[at] = std::min(std::max(heights[at], low - slack), high + slack);
-            }
-        }
-    });
-}
-
 // Write weights and a mask of known nodes: accepted, or too near to the sensor for any beam.
 MULTIVERSION void weigh(const std::uint8_t* accepted, const float* range_m, std::size_t size, float blind_m,
                         float* weight, std::uint8_t* known) {
@@ -397,29 +294,14 @@ void fill_ground(const Lattice& lattice, View1<const float> walked_m, View1<cons
         heights_m[at] = 0.0f;
         variance[at] = LEVEL_M * LEVEL_M;
     });
-    // 3. Interpolate heights above the base and their variance; in parallel, find the gaps.
-    Gaps gaps(profiles.bins);
-    run_parts(2, [&](std::size_t part) {
-        if (part == 0) {
-            Buffer<float> scratch(4 * size + 3 * (n + 2));
-            fill({n, heights_m.data, weight.data(), variance.data()}, node_m, scratch);
-        } else {
-            find_gaps(profiles, gaps);
-        }
-    });
+    // 3. Interpolate heights above the base and their variance.
+    Buffer<float> scratch(4 * size + 3 * (n + 2));
+    fill({n, heights_m.data, weight.data(), variance.data()}, node_m, scratch);
     add_base(over.base.data(), variance.data(), size, heights_m.data, std_m.data);
-    std::vector<float> confirmed;
-    confirmed.reserve(size);
-    for_marked(accepted, [&](std::size_t at) {
-        if (!unconfirmed[at]) {
-            confirmed.push_back(over.above[at]);
-            return;
-        }
+    for_marked(unconfirmed, [&](std::size_t at) {
         heights_m[at] = walked_m[at];
         std_m[at] = SEEN_STD_M;
     });
-    // 4. Correct gaps along the lines of sight.
-    doubt_gaps(lattice, gaps, over.base, known, find_lower_level(std::move(confirmed)), heights_m, std_m);
 }
 
 void find_unconfirmed_levels(const Lattice& lattice, View1<const float> walked_m, View1<const bool> accepted,

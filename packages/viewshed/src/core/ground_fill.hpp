@@ -2,8 +2,8 @@
 //
 // Heights above a base surface are averaged over ever coarser nodes, and nodes without returns take the height of the
 // finest level with data (pull-push; Gortler et al., The Lumigraph, SIGGRAPH 1996). The standard deviation is the
-// spread of the averaged heights plus a term that grows with the node size. In a gap along a line of sight it is at
-// least half of the height difference across the gap: an edge occludes lower ground.
+// spread of the averaged heights plus a term that grows with the node size. Only the merged ground of several sweeps is
+// filled so: it has few gaps (viewshed.preprocess.ground.ground_of_lows).
 //
 // A level seen only in a narrow sector is not extended sideways: a wedge of false returns must not move half the
 // ground.

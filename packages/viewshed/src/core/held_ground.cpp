@@ -4,8 +4,6 @@
 #include <cmath>
 #include <limits>
 
-#include "ground_fill.hpp"
-
 namespace viewshed {
 namespace {
 
@@ -138,24 +136,18 @@ bool find_agreed(const SeenGround& now, View1<const float> moved_m, View1<const 
 }  // namespace
 
 bool hold_ground(const SeenGround& now, const SeenGround& before, const HeldPoses& poses, float variance_m2,
-                 const Plane& carrier, float height_m, View1<float> heights_m, View1<float> std_m, View1<bool> seen) {
+                 View1<float> heights_m, View1<float> std_m, View1<bool> seen) {
     const std::size_t n = now.heights_m.rows, size = n * n;
     // 1. Move the earlier ground to the present lattice, and decide which nodes to take.
     Buffer<float> moved_m(size), moved_std_m(size);
     Buffer<bool> taken(size);
     move_ground(before, poses, variance_m2, n, float(now.half_m), moved_m, moved_std_m);
     if (!find_agreed(now, moved_m, moved_std_m, taken)) return false;
-    // 2. Fill the nodes that neither saw; here heights and plane are relative to the sensor.
-    Buffer<float> walked_m(size);
+    // 2. Take them.
     for (std::size_t at = 0; at < size; ++at) {
         seen[at] = now.seen.data[at] || taken[at];
-        walked_m[at] = (taken[at] ? moved_m[at] : now.heights_m.data[at]) - height_m;
-    }
-    fill_ground(*lattice_of(n, now.half_m), walked_m, {seen.data, size}, {carrier[0], carrier[1], carrier[2] - height_m}, heights_m,
-                std_m);
-    for (std::size_t at = 0; at < size; ++at) {
-        heights_m[at] += height_m;
-        if (taken[at]) std_m[at] = moved_std_m[at];
+        heights_m[at] = taken[at] ? moved_m[at] : now.heights_m.data[at];
+        std_m[at] = taken[at] ? moved_std_m[at] : now.std_m.data[at];
     }
     return true;
 }

@@ -2,7 +2,6 @@
 #pragma once
 
 #include "arrays.hpp"
-#include "ground_plane.hpp"
 
 namespace viewshed {
 
@@ -20,8 +19,8 @@ struct HeldPoses {
 
 // Write heights, standard deviations and seen nodes (n, n) of the present ground, with nodes that only the earlier
 // sweep saw if both agree around them; false if nothing was carried over. `variance_m2` is added for elapsed time and
-// distance. The carrier plane is that of the present level frame, with the sensor at height_m.
+// distance.
 bool hold_ground(const SeenGround& now, const SeenGround& before, const HeldPoses& poses, float variance_m2,
-                 const Plane& carrier, float height_m, View1<float> heights_m, View1<float> std_m, View1<bool> seen);
+                 View1<float> heights_m, View1<float> std_m, View1<bool> seen);
 
 }  // namespace viewshed

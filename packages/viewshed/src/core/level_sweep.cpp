@@ -8,6 +8,7 @@
 #include "ego_vehicle.hpp"
 #include "ground.hpp"
 #include "height_map.hpp"
+#include "unseen_ground.hpp"
 
 namespace viewshed {
 namespace {
@@ -27,6 +28,9 @@ constexpr double MIN_ESTIMATED_HEIGHT_M = 0.05;
 constexpr double LARGE_M = 32.0;
 constexpr std::size_t LARGE_NODES = 128, SMALL_NODES = 64, FLAT_NODES = 64;
 constexpr float UNSEEN_STD_M = 1.0f;
+
+// Standard deviation of nodes with returns on the ground.
+constexpr float SEEN_STD_M = 0.05f;
 
 constexpr Rotation UPRIGHT{1, 0, 0, 0, 1, 0, 0, 0, 1};
 
@@ -92,7 +96,7 @@ Rotation upright(const Vector& n) {
             n[0], n[1], n[2]};
 }
 
-// Estimate the ground below the returns, z relative to the sensor; isolated returns (N,) are ignored.
+// Find the ground below the returns, its unseen nodes left open, z relative to the sensor; isolated returns (N,) are ignored.
 GroundMap walked_ground(const UnleveledSweep& sweep, View1<const bool> isolated, const Rotation& rotation, double heading) {
     const double half_m = sweep.half_extent_m;
     const std::size_t n = half_m > LARGE_M ? LARGE_NODES : SMALL_NODES;
@@ -109,19 +113,11 @@ GroundMap walked_ground(const UnleveledSweep& sweep, View1<const bool> isolated,
                 Buffer<bool>(size, false), {0.0, 0.0, found.level_m}, 0.0};
     }
     const auto& [a, b, c] = found.carrier.plane;
-    return {n, half_m, std::move(found.heights_m), std::move(found.std_m), std::move(found.seen), {a, b, c},
+    return {n, half_m, std::move(found.heights_m), Buffer<float>(n * n, SEEN_STD_M), std::move(found.seen), {a, b, c},
             found.carrier.support};
 }
 
 }  // namespace
-
-float GroundMap::at(float x_m, float y_m) const {
-    const float xy[2] = {x_m, y_m};
-    const LatticePositions place = lattice_positions({xy, 1, 2}, float(half_m), nodes);
-    float height_m = 0.0f;
-    interpolate({heights_m.data(), nodes, nodes}, place.node, place.down, place.right, {&height_m, 1});
-    return height_m;
-}
 
 SweepLevel level_sweep(const UnleveledSweep& sweep) {
     const std::size_t count = sweep.points.rows;
@@ -150,15 +146,21 @@ SweepLevel level_sweep(const UnleveledSweep& sweep) {
         }
     }
     // 3. Shift ground and plane so that the ground below the sensor is at z = 0.
-    const double height_m = sweep.height_m ? *sweep.height_m : std::max(-double(ground.at(0.0f, 0.0f)), MIN_ESTIMATED_HEIGHT_M);
+    const double height_m = sweep.height_m ? *sweep.height_m : std::max(-ground.plane[2], MIN_ESTIMATED_HEIGHT_M);
     for (float& z : ground.heights_m) z += float(height_m);
     ground.plane[2] += height_m;
-    // 4. Level the points, with range, azimuth and height above the ground.
+    // 4. Level the points, with range and azimuth; predict the ground without returns; measure heights above the ground.
     const std::array<float, 9> t = in_float(rotation);
     const float transform[12] = {t[0], t[1], t[2], 0.0f, t[3], t[4], t[5], 0.0f, t[6], t[7], t[8], float(height_m)};
     const View1<const bool> clutter = image && image->clutter ? View1<const bool>(*image->clutter) : View1<const bool>{nullptr, 0};
-    LevelPoints level =
-        level_points(sweep.points, clutter, {transform, 3, 4}, sweep.near_m, sweep.far_m, heading, ground.view());
+    LevelPoints level = level_points(sweep.points, clutter, {transform, 3, 4}, sweep.near_m, sweep.far_m, heading);
+    if (ground.support > 0.0) {
+        Buffer<std::uint8_t> left_out(level.count);
+        for (std::size_t k = 0; k < level.count; ++k) left_out[k] = isolated[std::size_t(level.rows[k])];
+        complete_ground({{level.points.data(), level.count, 3}, level.azimuth, level.range_m, left_out, float(height_m)},
+                        *lattice_of(ground.nodes, ground.half_m), ground.seen, ground.heights_m, ground.std_m);
+    }
+    measure_heights(level, ground.view());
     return {std::move(image), rotation, height_m, std::move(ground), std::move(level)};
 }
 

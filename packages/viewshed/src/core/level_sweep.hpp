@@ -30,8 +30,6 @@ struct GroundMap {
     double support;
 
     Ground view() const { return {{heights_m.data(), nodes, nodes}, float(half_m)}; }
-    // Ground height in meters at (x, y).
-    float at(float x_m, float y_m) const;
 };
 
 // Inputs of leveling.

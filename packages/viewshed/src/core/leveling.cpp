@@ -76,9 +76,9 @@ MULTIVERSION void take_all(const float* points, std::size_t count, std::size_t s
     }
 }
 
-// Transform the points of a block, and write them with range, azimuth and height above the ground.
-MULTIVERSION void measure_block(Block& block, std::size_t count, const float* transform, const Ground& ground,
-                                float* points, float* range_m, float* azimuth, float* height_m) {
+// Transform the points of a block, and write them with range and azimuth.
+MULTIVERSION void measure_block(Block& block, std::size_t count, const float* transform, float* points, float* range_m,
+                                float* azimuth) {
     // Copy the transform: the compiler cannot know that the loops do not write it.
     std::array<float, 12> t;
     std::copy_n(transform, 12, t.begin());
@@ -96,6 +96,10 @@ MULTIVERSION void measure_block(Block& block, std::size_t count, const float* tr
         range_m[k] = std::sqrt(x * x + y * y);
         azimuth[k] = azimuth_of(y, x);
     }
+}
+
+// Write the heights above the ground of level points (count, 3).
+MULTIVERSION void measure_heights(const float* points, std::size_t count, const Ground& ground, float* height_m) {
     // Lattice positions come first: a loop with look-ups does not vectorize as well.
     const auto n = std::int32_t(ground.heights_m.rows);
     const float half_m = ground.half_extent_m, last = float(n - 1.001);
@@ -103,7 +107,7 @@ MULTIVERSION void measure_block(Block& block, std::size_t count, const float* tr
     std::int32_t node[BLOCK];
     float right[BLOCK], below[BLOCK];
     for (std::size_t k = 0; k < count; ++k) {
-        float u = (block.x[k] + half_m) * nodes_per_m - 0.5f, v = (block.y[k] + half_m) * nodes_per_m - 0.5f;
+        float u = (points[3 * k] + half_m) * nodes_per_m - 0.5f, v = (points[3 * k + 1] + half_m) * nodes_per_m - 0.5f;
         u = u > 0.0f ? u : 0.0f, v = v > 0.0f ? v : 0.0f;
         u = u < last ? u : last, v = v < last ? v : last;
         const auto i = std::int32_t(u), j = std::int32_t(v);
@@ -114,7 +118,7 @@ MULTIVERSION void measure_block(Block& block, std::size_t count, const float* tr
     for (std::size_t k = 0; k < count; ++k) {
         const float *at = heights + node[k], *under = at + n;
         const float low = at[0] + (at[1] - at[0]) * right[k], high = under[0] + (under[1] - under[0]) * right[k];
-        height_m[k] = block.z[k] - low - (high - low) * below[k];
+        height_m[k] = points[3 * k + 2] - low - (high - low) * below[k];
     }
 }
 
@@ -142,7 +146,7 @@ MULTIVERSION void slopes_of_block(const float* points, const float* range_m, std
 }  // namespace
 
 LevelPoints level_points(View2<const float> points, View1<const bool> clutter, View2<const float> level_from_sensor,
-                         float near_m, float far_m, double heading, const Ground& ground) {
+                         float near_m, float far_m, double heading) {
     const std::size_t count = points.rows, blocks = (count + BLOCK - 1) / BLOCK;
     const float *transform = level_from_sensor.data, height_m = level_from_sensor(2, 3);
     const bool has_ego = float(MIN_EGO_HEIGHT_M) <= height_m && height_m <= float(MAX_EGO_HEIGHT_M);
@@ -181,11 +185,20 @@ LevelPoints level_points(View2<const float> points, View1<const bool> clutter, V
             } else {
                 gather_kept(points[start], &kept[start], size, start, block, rows);
             }
-            measure_block(block, number, transform, ground, level.points.data() + 3 * at, level.range_m.data() + at,
-                          level.azimuth.data() + at, level.height_m.data() + at);
+            measure_block(block, number, transform, level.points.data() + 3 * at, level.range_m.data() + at,
+                          level.azimuth.data() + at);
         }
     });
     return level;
+}
+
+void measure_heights(LevelPoints& level, const Ground& ground) {
+    for_ranges(level.count, count_parts(level.count, PART), [&](std::size_t, std::size_t begin, std::size_t end) {
+        for (std::size_t start = begin; start < end; start += BLOCK) {
+            measure_heights(level.points.data() + 3 * start, std::min(BLOCK, end - start), ground,
+                            level.height_m.data() + start);
+        }
+    });
 }
 
 void mark_cells(View2<const float> points, View1<const float> height_m, const SquareCells& of, View1<bool> mask) {

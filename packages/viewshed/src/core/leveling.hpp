@@ -20,9 +20,13 @@ struct Ground {
 };
 
 // Transform points (N, 3) by level_from_sensor (3, 4) and measure those that are kept: within [near_m, far_m] of the
-// sensor, not clutter (N,; may be empty), and outside the box of a vehicle with this heading below the sensor.
+// sensor, not clutter (N,; may be empty), and outside the box of a vehicle with this heading below the sensor. Their
+// heights are not measured yet.
 LevelPoints level_points(View2<const float> points, View1<const bool> clutter, View2<const float> level_from_sensor,
-                         float near_m, float far_m, double heading, const Ground& ground);
+                         float near_m, float far_m, double heading);
+
+// Measure the heights of level points above the ground.
+void measure_heights(LevelPoints& level, const Ground& ground);
 
 // A square grid, given by its corner of least x and y, and the height limits above the ground.
 struct SquareCells {

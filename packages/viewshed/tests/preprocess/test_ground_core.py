@@ -33,6 +33,7 @@ def test_level_ground_is_found_where_it_lies() -> None:
 def test_held_ground_is_taken_where_only_the_earlier_sweep_saw_it() -> None:
     heights, std, seen = held()
     assert np.allclose(heights, -1.8, atol=1e-5)
+    assert np.allclose(std[~seen], 1.0)
     # Bilinear heights need the next node, so that the last row and column stay as they were.
     assert seen[:-1, : NODES // 2].all()
     assert std[5, 5] == pytest.approx(np.hypot(np.sqrt(0.1**2 + 0.0025), 0.002 * np.hypot(26.5, 26.5)))

@@ -16,7 +16,7 @@ from viewshed_lab.data.presets import preset_named
 from viewshed_lab.data.simulated import ScenePlan, simulate_frame, world_of
 
 # Of packages/viewshed/src/core/ground_fill.cpp and packages/viewshed/src/core/ground_lattice.cpp.
-SEEN_STD_M, BEYOND_GROWTH, PLANE_M, TILT_M = 0.05, 0.01, 30.0, 20.0
+SEEN_STD_M, PLANE_M, TILT_M = 0.05, 30.0, 20.0
 
 ROAD = GRIDS["road"]
 HEIGHT_M = 1.8
@@ -152,24 +152,6 @@ def _slope_share(range_m: NDArray[np.float64]) -> NDArray[np.float64]:
     return (range_m - beyond_m + TILT_M * (1.0 - np.exp(-beyond_m / TILT_M))) / range_m
 
 
-def test_ground_behind_an_edge_lies_between_the_beam_and_the_lower_ground() -> None:
-    # Level 1.8 m below the sensor as far as 8 m, and fields 6 m below it from 20 m on.
-    accepted = (RANGE_M < 8) | (RANGE_M >= 20)
-    found, std = filled(np.where(RANGE_M < 8, -HEIGHT_M, -6.0), accepted)
-    for x_m, y_m in ((0.5, 10.5), (0.5, 14.5), (18.5, -0.5), (-0.5, -12.5)):
-        i, j = int(x_m + HALF_M), int(y_m + HALF_M)
-        assert not accepted[i, j]
-        # The beam that meets the fields first does so in the middle of the node from 20 to 21 m.
-        beam_m = min(-6.0 * np.hypot(x_m, y_m) / 20.5, -HEIGHT_M)
-        assert found[i, j] == pytest.approx((beam_m - 6.0) / 2, abs=1e-3)
-        assert std[i, j] >= (beam_m + 6.0) / 2 - 1e-3
-    # In every direction alike: no node of the gap is left out.
-    gap = (RANGE_M > 9.5) & (RANGE_M < 19)
-    beams_m = np.minimum(-6.0 * RANGE_M / 20.5, -HEIGHT_M)
-    assert np.abs(found - (beams_m - 6.0) / 2)[gap].max() < 0.25
-    assert (std >= (beams_m + 6.0) / 2 - 0.25)[gap].all()
-
-
 AZIMUTH = np.arctan2(Y_M, X_M)
 
 
@@ -190,38 +172,12 @@ def test_a_level_that_one_narrow_sector_shows_is_not_carried_to_its_sides() -> N
     assert np.allclose(std[accepted], SEEN_STD_M)
     beside = (np.abs(np.abs(AZIMUTH - 0.3) - np.deg2rad(20.0)) < np.deg2rad(8.0)) & (RANGE_M > 12) & (RANGE_M < 26)
     assert np.abs(found + HEIGHT_M)[beside].max() < 0.1
-    # Between the two rings it holds in its own direction.
-    within = (np.abs(AZIMUTH - 0.3) < np.deg2rad(2.0)) & (RANGE_M > 15.5) & (RANGE_M < 19.5)
-    assert np.abs(found + HEIGHT_M + 1.5)[within].max() < 0.15
 
 
 def test_a_level_that_two_directions_show_is_carried_to_what_lies_between() -> None:
     found, _ = filled(*_lower_in_sectors(np.deg2rad(10.0), 0.1, 0.5))
     between = (np.abs(AZIMUTH - 0.3) < np.deg2rad(2.0)) & (RANGE_M > 21) & (RANGE_M < 25)
     assert np.abs(found + HEIGHT_M + 1.5)[between].max() < 0.3
-
-
-@pytest.mark.parametrize("deep_m", [3.0, 0.5])
-def test_where_land_lies_lower_on_one_side_it_may_do_so_beyond_the_last_return_of_the_other(deep_m: float) -> None:
-    """A road 10 m to either side; fields beyond it on the left, a guard rail hides what lies to the right."""
-    fields = Y_M > 14
-    accepted = (np.abs(Y_M) < 10) & (RANGE_M > 3) | fields
-    found, std = filled(np.where(fields, -HEIGHT_M - deep_m, -HEIGHT_M), accepted)
-    hidden = (Y_M < -20) & (np.abs(X_M) < 3)
-    away_m = RANGE_M - 10.0
-    fallen_m = 0.03 * away_m * (deep_m > 1.0)
-    assert np.abs(found + HEIGHT_M + fallen_m)[hidden].max() < 0.12
-    assert (std >= fallen_m - 0.05)[hidden].all()
-    # The road itself and the fields stay.
-    assert np.allclose(found[accepted], np.where(fields, -HEIGHT_M - deep_m, -HEIGHT_M)[accepted], atol=1e-4)
-
-
-def test_ground_before_a_bank_lies_anywhere_between_the_two() -> None:
-    accepted = (RANGE_M < 8) | (RANGE_M >= 20)
-    found, std = filled(np.where(RANGE_M < 8, -HEIGHT_M, 1.2), accepted)
-    gap = (RANGE_M > 9.5) & (RANGE_M < 19)
-    assert np.allclose(found[gap], (1.2 - HEIGHT_M) / 2, atol=1e-3)
-    assert (std[gap] >= (1.2 + HEIGHT_M) / 2 - 1e-3).all()
 
 
 @settings(max_examples=15)

@@ -44,8 +44,10 @@ void bind_leveling(nb::module_& m) {
             require(points.shape(0) < std::numeric_limits<std::int32_t>::max(), "points must be fewer than 2^31");
             const View1<const bool> mask = clutter ? view(*clutter) : View1<const bool>{nullptr, 0};
             return level_arrays(without_lock([&] {
-                return level_points(view(points), mask, {level_from_sensor.data(), 3, 4}, near_m, far_m, heading,
-                                    {view(ground_m), half_extent_m});
+                LevelPoints level =
+                    level_points(view(points), mask, {level_from_sensor.data(), 3, 4}, near_m, far_m, heading);
+                measure_heights(level, {view(ground_m), half_extent_m});
+                return level;
             }));
         },
         "points"_in, "clutter"_in.none(), "level_from_sensor"_in, "near_m"_a, "far_m"_a, "heading"_a, "ground_m"_in,

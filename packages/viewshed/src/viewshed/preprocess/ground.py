@@ -9,10 +9,11 @@ On a lattice around the sensor (nodes of 1 m on roads, of .5 m indoors), from th
    ground; down to a height on which returns agree or that is clearly lower, because nothing lies below ground. Nodes
    that continue accepted ground sideways are added. Then the growing is repeated, which suppresses levels that only
    one narrow sector shows (``src/core/ground.cpp``).
-4. Interpolation of the remaining nodes relative to the ground plane by averages over coarser and coarser nodes
-   (pull-push, Gortler et al. 1996); the plane's slope fades beyond the seen ground. The spread of the averaged heights
-   is the standard deviation. Behind an edge along a line of sight the ground is below the beam that passes the edge,
-   and not far below the end of that beam (``src/core/ground_fill.cpp``).
+4. Prediction of the remaining nodes by a network that sees returns, seen ground and passing beams in polar bins around
+   the sensor; it states three quantiles of the height (``src/core/unseen_ground.cpp``, fitted by
+   ``tools/fit_ground.py``). The ground lies below beams that pass over it. Only the merged ground of several sweeps
+   (:func:`ground_of_lows`) is interpolated instead, by averages over coarser and coarser nodes (pull-push, Gortler et
+   al. 1996; ``src/core/ground_fill.cpp``).
 """
 
 from __future__ import annotations

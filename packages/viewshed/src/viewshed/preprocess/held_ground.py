@@ -1,10 +1,10 @@
 """Ground and sensor height carried over from earlier sweeps of a stream.
 
 Ground is static. Nodes that a sweep does not see take the height from the earlier sweep, if both sweeps agree on ground
-that both see nearby; their standard deviation grows with time and distance. Remaining nodes are interpolated from both.
-Where the sweeps disagree, the current one wins and the carried-over ground is dropped. If the sensor height of a sweep
-differs from that of the last sweeps, theirs is used, unless the returns support its own. The height of a sensor at rest
-is constant: the value that most of the last estimates are close to.
+that both see nearby; their standard deviation grows with time and distance. Nodes that neither sees are predicted from
+both. Where the sweeps disagree, the current one wins and the carried-over ground is dropped. If the sensor height of a
+sweep differs from that of the last sweeps, theirs is used, unless the returns support its own. The height of a sensor
+at rest is constant: the value that most of the last estimates are close to.
 
 Each sweep stores what it carries over and holds no reference to earlier sweeps.
 
@@ -192,9 +192,15 @@ def _held_ground(leveled: LeveledSweep, before: LeveledSweep, now_from_before: R
         now.heights_m, now.std_m, now.seen, now.half_extent_m,
         earlier.heights_m, earlier.std_m, earlier.seen, earlier.half_extent_m,
         now_from_before.inverse().as_matrix()[:2].astype(np.float32), now_from_before.as_matrix()[2].astype(np.float32),
-        variance_m2, now.plane, leveled.sensor_height_m,
+        variance_m2,
     )  # fmt: skip
     if ground is None:
         return now
     heights_m, std_m, seen = ground
+    # Nodes that neither saw are predicted anew, beside more that is known.
+    image = leveled.range_image
+    heights_m, std_m = _core.complete_ground(
+        leveled.points, leveled.azimuth, leveled.range_m, None if image is None else image.isolated, leveled.rows,
+        leveled.sensor_height_m, heights_m, std_m, seen, now.half_extent_m,
+    )  # fmt: skip
     return replace(now, heights_m=heights_m, std_m=std_m, seen=seen)
