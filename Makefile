@@ -77,7 +77,7 @@ priors: $(VENV)/.test  ## the three networks of the default, fitted anew and com
 	$(FIT)fit_ground.py make training road --scenes 0:1000 --out $(FITTED)/ground
 	$(FIT)fit_ground.py make training indoor --scenes 0:500 --sweeps 1 --out $(FITTED)/ground
 	$(FIT)fit_ground.py make own indoor --scenes 16:516 --sweeps 1 --out $(FITTED)/ground
-	$(FIT)fit_ground.py fit $(FITTED)/ground --minutes 21 --out packages/viewshed/src/core/ground_network.inc
+	$(FIT)fit_ground.py fit $(FITTED)/ground --minutes 23 --out packages/viewshed/src/core/ground_network.inc
 	$(PIP) --editable packages/viewshed
 	$(FIT)fit_no_return.py make learning road --scenes 0:1500 --out $(FITTED)/samples
 	$(FIT)fit_no_return.py make training road --scenes 0:1000 --out $(FITTED)/samples

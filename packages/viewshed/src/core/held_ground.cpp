@@ -20,6 +20,9 @@ constexpr double AGREEING_SHARE = 0.75;
 // If a smaller share of all commonly seen nodes agrees, a pose is wrong, and nothing is carried over.
 constexpr double MIN_AGREEING_SHARE = 0.5;
 
+// Ground that an earlier sweep saw counts more than a prediction, until it is this uncertain and the prediction is not.
+constexpr float SURE_STD_M = 0.5f;
+
 constexpr float NONE = std::numeric_limits<float>::infinity();
 
 // Write heights and standard deviations (n, n) of the earlier ground on the present lattice, bilinear; the standard
@@ -83,7 +86,7 @@ void spread_nearest(std::ptrdiff_t n, View1<float> away, View1<bool> label) {
     }
 }
 
-// Mark nodes (n, n) that only the earlier sweep saw, if it is more certain there than the present one and both agree:
+// Mark nodes (n, n) that only the earlier sweep saw, if it is certain, or more so than the present one, and both agree:
 // the nearest common node decides, by the share of agreeing common nodes around it. Return whether any is marked.
 bool find_agreed(const SeenGround& now, View1<const float> moved_m, View1<const float> moved_std_m, View1<bool> taken) {
     const auto n = std::ptrdiff_t(now.heights_m.rows);
@@ -127,7 +130,7 @@ bool find_agreed(const SeenGround& now, View1<const float> moved_m, View1<const 
     spread_nearest(n, away, agreed);
     bool any = false;
     for (std::size_t at = 0; at < size; ++at) {
-        taken[at] = agreed[at] && !now.seen.data[at] && moved_std_m[at] < now.std_m.data[at];
+        taken[at] = agreed[at] && !now.seen.data[at] && moved_std_m[at] < std::max(now.std_m.data[at], SURE_STD_M);
         any |= taken[at];
     }
     return any;

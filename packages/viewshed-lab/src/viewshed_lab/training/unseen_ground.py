@@ -38,6 +38,9 @@ MODES = 5
 MAX_TARGET = 12.0
 """Limit of the exact height in units: what lies farther off weighs no more."""
 
+HELD_STD_M = 0.05
+"""Standard deviation of the heights that earlier sweeps saw, of all together and of each."""
+
 RANGE_M = NEAREST_M * 2.0 ** ((np.arange(RANGES, dtype=np.float32) + 0.5) / BINS_OF_OCTAVE)
 AZIMUTH = ((np.arange(AZIMUTHS) + 0.5) * 2 * np.pi / AZIMUTHS - np.pi).astype(np.float32)
 _UNIT_M = torch.tensor(0.25 + 0.04 * RANGE_M)
@@ -86,9 +89,10 @@ def exact_ground(leveled: LeveledSweep, world_from_sensor: Rigid, terrain: Terra
 
 
 def augmented(samples: Samples, rng: np.random.Generator) -> Samples:
-    """Return samples turned, mirrored, scaled and sloped at random, each in its own way.
+    """Return samples turned, mirrored, scaled and sloped at random, each in its own way; in some, more ground is seen.
 
-    All these keep lines straight, so that the beams remain beams.
+    Turns, scales and slopes keep lines straight, so that the beams remain beams. What earlier sweeps of a stream saw is
+    seen ground without returns.
     """
     rows = [_augmented(*row, rng) for row in zip(*samples, strict=True)]
     return Samples(*(torch.stack(column) for column in zip(*rows, strict=True)))
@@ -122,7 +126,19 @@ def _augmented(
         maps[[LOWEST, SECOND_LOWEST, HIGHEST]] += rise_m * (maps[RETURNS] > 0)
         maps[SEEN_HEIGHT] += rise_m * maps[SEEN]
         maps[PASSING] += rise_m
+    if rng.random() < 0.4:  # earlier sweeps saw some of the ground
+        maps, shown = maps.clone(), _patches(rng) & torch.isfinite(ground_m) & (maps[SEEN] == 0)
+        off_m = rng.normal(0, HELD_STD_M) + rng.normal(0, HELD_STD_M, (AZIMUTHS, RANGES))
+        maps[SEEN_HEIGHT] = torch.where(shown, ground_m + torch.tensor(off_m.astype(np.float32)), maps[SEEN_HEIGHT])
+        maps[SEEN] += shown
     return maps, ground_m, height_m
+
+
+def _patches(rng: np.random.Generator) -> Tensor:
+    """Return random patches (azimuths, ranges), bool, which cover any share of the bins."""
+    coarse = torch.tensor(rng.normal(size=(1, 1, 2 ** rng.integers(2, 6), 2 ** rng.integers(1, 6))).astype(np.float32))
+    smooth = functional.interpolate(coarse, (AZIMUTHS, RANGES), mode="bilinear")[0, 0]
+    return smooth > float(np.quantile(coarse.numpy(), rng.random()))
 
 
 def base_of(seen: Tensor, height_m: Tensor) -> Tensor:

@@ -70,11 +70,11 @@ class MonitorPlan(Plan):
         return names
 
     def job_keys(self) -> list[JobKey]:
-        """Return part, style and number of each stream, ordered by number, so that all styles have some early."""
+        """Return part, style and number of each stream: those of the calibration first, then by number."""
         keys = [
-            (number, part, style)
+            (part != "calibration", number, part, style)
             for part in PARTS
             for style in self.styles(part)
             for number in range(getattr(self, f"{part}_streams"))
         ]
-        return [(part, style, str(number)) for number, part, style in sorted(keys, key=lambda key: key[0])]
+        return [(part, style, str(number)) for _, number, part, style in sorted(keys, key=lambda key: key[:2])]
