@@ -147,6 +147,20 @@ def test_augmented_beams_are_beams() -> None:
     assert samples.height_m.std() > 0.1
 
 
+def test_earlier_sweeps_show_some_of_the_ground_of_some_samples() -> None:
+    samples, rng = flat_samples(64), np.random.default_rng(6)
+    samples.maps[:, SEEN] = 0.0
+    after = augmented(samples, rng)
+    seen = after.maps[:, SEEN] > 0
+    shares = seen.float().mean((1, 2))
+    assert 0.2 < (shares > 0).float().mean() < 0.6
+    assert shares.max() > 0.5
+    off_m = (after.maps[:, SEEN_HEIGHT] - after.ground_m)[seen]
+    assert 0.02 < off_m.std() < 0.15
+    assert off_m.abs().max() < 0.5
+    assert (after.maps[:, SEEN_HEIGHT][~seen] == 0).all()
+
+
 def test_the_loss_is_least_at_the_quantiles() -> None:
     rng = np.random.default_rng(7)
     samples = flat_samples(8)

@@ -153,8 +153,7 @@ def test_clutter_is_left_out_of_the_level_sweep_and_moves_neither_ground_nor_vie
     sweep, _ = jammed(STREET)
     leveled, clear = level_of(sweep), level_of(STREET)
     assert set(leveled.rows) == set(np.flatnonzero(~leveled.range_image.clutter))
-    # A node holds its own returns: one that a random return alone lies on may be off by what a step of ground may be.
-    off_m = np.abs(leveled.ground.heights_m - clear.ground.heights_m)[8:-8, 8:-8]
-    assert np.quantile(off_m, 0.998) < 0.2
-    assert off_m.max() < 0.35
+    seen = leveled.ground.seen & clear.ground.seen
+    assert seen.sum() > 0.9 * clear.ground.seen.sum()
+    assert np.abs(leveled.ground.heights_m - clear.ground.heights_m)[seen].max() < 0.2
     assert (claimed(sweep) == claimed(STREET)).mean() > 0.96
