@@ -6,7 +6,7 @@
     python tools/fit_ground.py make training road --scenes 0:1000 --out ground
     python tools/fit_ground.py make training indoor --scenes 0:500 --sweeps 1 --out ground
     python tools/fit_ground.py make own indoor --scenes 16:516 --sweeps 1 --out ground
-    python tools/fit_ground.py fit ground --minutes 44 --out packages/viewshed/src/core/ground_network.inc
+    python tools/fit_ground.py fit ground --minutes 23 --out packages/viewshed/src/core/ground_network.inc
 
 ``make`` writes one file for 50 scenes and resumes where it was stopped; run two at once on two cores. ``fit`` trains
 for the given time, keeps a checkpoint beside the samples and resumes from it, keeps whole scenes of each file for

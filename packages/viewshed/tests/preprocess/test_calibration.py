@@ -108,7 +108,7 @@ def test_a_sweep_that_aims_nowhere_is_described() -> None:
 
 
 def test_the_same_cells_are_doubted_more_where_the_ground_is_uneven() -> None:
-    _, leveled = observed(1)
+    _, leveled = observed(3)
     evidence = beam_evidence(leveled, GRIDS["road"], CAR)
     hilly = replace(leveled.ground, heights_m=(leveled.ground.heights_m * 20).astype(np.float32))
     claimed = evidence.supports_claim()
