@@ -5,16 +5,11 @@
 #include <cstring>
 #include <limits>
 #include <numbers>
-#include <vector>
 
-#include "parallel.hpp"
 #include "vectors.hpp"
 
 namespace viewshed {
 namespace {
-
-// Standard deviation of nodes with returns on the ground.
-constexpr float SEEN_STD_M = 0.05f;
 
 // Standard deviation per meter of node side.
 constexpr double GROWTH = 0.015;
@@ -30,16 +25,13 @@ constexpr int CONFIRM_FROM = 9, CONFIRM_TO = 40;
 // Weights of the base at unconfirmed levels, and in the nodes below the sensor, which no beam meets.
 constexpr float UNCONFIRMED_WEIGHT = 0.1f, BLIND_WEIGHT = 0.9f;
 
-// Fewest nodes for which a part pays for its thread.
-constexpr std::size_t PART = 8192;
-
 constexpr float UNSEEN = std::numeric_limits<float>::quiet_NaN();
 
-// Known heights above the base by range bin and sector (bins, SECTORS), NaN for none; and the base there.
+// Known heights above the base by range bin and sector (bins, SECTORS), NaN for none.
 struct Profiles {
-    explicit Profiles(std::size_t b) : bins(b), seen(b * SECTORS, UNSEEN), base(b * SECTORS) {}
+    explicit Profiles(std::size_t b) : bins(b), seen(b * SECTORS, UNSEEN) {}
     std::size_t bins;
-    Buffer<float> seen, base;
+    Buffer<float> seen;
 };
 
 // Call body(at) for each marked node. Most are unmarked: eight are tested at once.
@@ -79,17 +71,14 @@ struct OverBase {
 };
 
 // Build profiles. The lowest node of a bin counts: higher ones may stand on it.
-Profiles find_profiles(const Lattice& lattice, View1<const float> above, View1<const float> base,
-                       View1<const bool> known) {
+Profiles find_profiles(const Lattice& lattice, View1<const float> above, View1<const bool> known) {
     Profiles profiles(lattice.bins);
     for_marked(known, [&](std::size_t at) {
         const std::size_t row = std::size_t(lattice.bin[at]) * SECTORS;
         // A node counts in every sector that it covers.
         for (int k = lattice.first[at]; k <= lattice.last[at]; ++k) {
             const std::size_t cell = row + std::size_t(k & (SECTORS - 1));
-            if (profiles.seen[cell] <= above[at]) continue;
-            profiles.seen[cell] = above[at];
-            profiles.base[cell] = base[at];
+            if (!(profiles.seen[cell] <= above[at])) profiles.seen[cell] = above[at];
         }
     });
     return profiles;
@@ -285,7 +274,7 @@ void fill_ground(const Lattice& lattice, View1<const float> walked_m, View1<cons
     weigh(reinterpret_cast<const std::uint8_t*>(accepted.data), lattice.range_m.data(), size, blind_m, weight.data(),
           reinterpret_cast<std::uint8_t*>(known.data()));
     // 2. The base also counts, weakly, at unconfirmed levels; their heights hold for their own nodes only.
-    const Profiles profiles = find_profiles(lattice, over.above, over.base, known);
+    const Profiles profiles = find_profiles(lattice, over.above, known);
     find_unconfirmed(lattice, over.above, accepted, profiles, unconfirmed);
     std::copy_n(over.above.data(), size, heights_m.data);
     std::fill_n(variance.data(), size, SEEN_STD_M * SEEN_STD_M);
@@ -307,7 +296,7 @@ void fill_ground(const Lattice& lattice, View1<const float> walked_m, View1<cons
 void find_unconfirmed_levels(const Lattice& lattice, View1<const float> walked_m, View1<const bool> accepted,
                              const Plane& carrier, View1<bool> unconfirmed) {
     const OverBase over(lattice, walked_m, accepted, carrier);
-    find_unconfirmed(lattice, over.above, accepted, find_profiles(lattice, over.above, over.base, accepted), unconfirmed);
+    find_unconfirmed(lattice, over.above, accepted, find_profiles(lattice, over.above, accepted), unconfirmed);
 }
 
 }  // namespace viewshed

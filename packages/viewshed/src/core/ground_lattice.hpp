@@ -10,6 +10,9 @@
 
 namespace viewshed {
 
+// Standard deviation of nodes with returns on the ground.
+constexpr float SEEN_STD_M = 0.05f;
+
 // Azimuth sectors of the seen ground.
 constexpr int SECTORS = 256;
 

@@ -29,9 +29,6 @@ constexpr double LARGE_M = 32.0;
 constexpr std::size_t LARGE_NODES = 128, SMALL_NODES = 64, FLAT_NODES = 64;
 constexpr float UNSEEN_STD_M = 1.0f;
 
-// Standard deviation of nodes with returns on the ground.
-constexpr float SEEN_STD_M = 0.05f;
-
 constexpr Rotation UPRIGHT{1, 0, 0, 0, 1, 0, 0, 0, 1};
 
 using Vector = std::array<double, 3>;

@@ -15,14 +15,6 @@ namespace viewshed {
 
 namespace {
 
-// Convert to heights, standard deviations, seen nodes, plane, support, and the z of assumed level ground (NaN if seen).
-auto as_tuple(FoundGround& ground, Buffer<float> std_m, std::size_t n) {
-    const auto& [a, b, c] = ground.carrier.plane;
-    return tuple_of(array(std::move(ground.heights_m), {n, n}), array(std::move(std_m), {n, n}),
-                    array(std::move(ground.seen), {n, n}), tuple_of(a, b, c), ground.carrier.support,
-                    ground.level_m);
-}
-
 Plane plane_of(const In1<float>& plane) {
     require(plane.shape(0) == 3, "plane must be (a, b, c)");
     require_bounded(view(plane), "plane must be finite");
@@ -60,16 +52,18 @@ void bind_ground(nb::module_& m) {
         "ground_of_lows",
         [](In3<float> lows_m, In2<float> rise_m, double half_m, double height_m) {
             const Lows lows = lows_of(lows_m, rise_m, half_m);
-            const std::size_t size = lows.nodes * lows.nodes;
-            Buffer<float> std_m(size);
+            const std::size_t n = lows.nodes;
+            Buffer<float> heights_m(n * n), std_m(n * n);
             FoundGround found = without_lock([&] {
-                const auto lattice = lattice_of(lows.nodes, half_m);
+                const auto lattice = lattice_of(n, half_m);
                 FoundGround ground = estimate_ground(*lattice, lows, height_m);
-                const Buffer<float> walked_m = copy_of(View1<const float>(ground.heights_m));
-                fill_ground(*lattice, walked_m, ground.seen, ground.carrier.plane, ground.heights_m, std_m);
+                fill_ground(*lattice, ground.heights_m, ground.seen, ground.carrier.plane, heights_m, std_m);
                 return ground;
             });
-            return as_tuple(found, std::move(std_m), lows.nodes);
+            const auto& [a, b, c] = found.carrier.plane;
+            return tuple_of(array(std::move(heights_m), {n, n}), array(std::move(std_m), {n, n}),
+                            array(std::move(found.seen), {n, n}), tuple_of(a, b, c), found.carrier.support,
+                            found.level_m);
         },
         "lows_m"_in, "rise_m"_in, "half_m"_a, "height_m"_a,
         "Return heights, standard deviations, seen nodes (n, n), plane, support, and level (or NaN) of the ground, "

@@ -72,9 +72,10 @@ class MonitorPlan(Plan):
     def job_keys(self) -> list[JobKey]:
         """Return part, style and number of each stream: those of the calibration first, then by number."""
         keys = [
-            (part != "calibration", number, part, style)
+            (part, style, number)
             for part in PARTS
             for style in self.styles(part)
             for number in range(getattr(self, f"{part}_streams"))
         ]
-        return [(part, style, str(number)) for _, number, part, style in sorted(keys, key=lambda key: key[:2])]
+        keys.sort(key=lambda key: (key[0] != "calibration", key[2]))
+        return [(part, style, str(number)) for part, style, number in keys]
