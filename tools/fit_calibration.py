@@ -57,9 +57,9 @@ no styles, sensors or mountings with these; the *own* set has the styles of the 
 fitted. The last word of a row is what the estimator is given: the maker's beam table, height and attitude (*table*),
 *rings*, or *nothing* but points.
 
-A cell shows counted → calibrated. The calibration error is over all cells with known truth within the range at which
-the sensor detects a dark target. The doubt, min(p, 1 - p), should predict wrong cells; its AUROC is over the cells at
-which beams aim. Both claim the same cells, so they have one F1."""
+A cell shows counted → calibrated. Cells are those with known truth within the range at which the sensor detects a dark
+target. A cell is claimed from a probability of one half on. The doubt, min(p, 1 - p), should predict wrong cells; its
+AUROC is over the cells at which beams aim."""
 
 PRIORS = """Results where the default guesses what was not measured, rings given. *Claims by inferred beams alone*:
 claimed cells that measured beams would not support; *false* if they are not visible. *Unresolved*: missed cells that
@@ -232,7 +232,7 @@ def judge(given: argparse.Namespace) -> None:
                 leveled = level(sample.sweep, seen.truth.grid)
                 calibrated = ShadowMap(seen.truth.grid, TARGETS[target]).estimate(leveled)
                 evidence = beam_evidence(leveled, seen.truth.grid, TARGETS[target])
-                counted = replace(calibrated, visible_prob=evidence.visible_prob)
+                counted = replace(calibrated, visible_prob=evidence.counted_prob)
                 priors = prior_figures(seen, evidence, calibrated)
                 for method, estimate in ((CALIBRATED, calibrated), (COUNTED, counted)):
                     rows.append({**row_of(seen, sample, estimate, leveled, method), **priors})
@@ -246,10 +246,10 @@ def judge(given: argparse.Namespace) -> None:
         both = [
             every.of(set_name=set_name, domain=domain, told=knowledge, method=name) for name in (COUNTED, CALIBRATED)
         ]
-        f1 = format_rates(both[1].counts.f1)
+        f1s = " → ".join(format_rates(pool.counts.f1) for pool in both)
         eces = " → ".join(format_rates(pool.ece()) for pool in both)
         aurocs = " → ".join(format_rates(pool.mean("auroc")) for pool in both)
-        lines.append((f"{domain}, {set_name}, {knowledge}", str(len(both[0].names("scene"))), f1, eces, aurocs))
+        lines.append((f"{domain}, {set_name}, {knowledge}", str(len(both[0].names("scene"))), f1s, eces, aurocs))
     header = ("place", "scenes", "F1", "calibration error", "AUROC of the doubt")
     rings = every.of(told="rings", method=CALIBRATED)
     unseen = {part: pd.concat(errors) for part, errors in ground.items()}

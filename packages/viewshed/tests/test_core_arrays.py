@@ -110,10 +110,10 @@ GOOD: dict[str, dict[str, Any]] = {
     "best_sectors": {"ranges": RANGES, "sectors": 2, "inner": 0.0},
     "star_vertices": {"ranges": RANGES, "price_m2": 1.0}, "free_ranges": {"mask": MASK3, "is_solid": True} | APEX,
     "beam_evidence": {
-        "measured": KIND, "lost": (LONG,) * 5, "heights_m": FLAT, "std_m": FLAT,
-        "half_extent_m": 20.0, "sensor_height_m": 1.8, "target_height_m": 1.5,
+        "measured": KIND, "lost": (LONG,) * 5, "returns": KIND, "heights_m": FLAT, "std_m": FLAT,
+        "low_m": 0.3, "high_m": 3.0, "half_extent_m": 20.0, "sensor_height_m": 1.8, "target_height_m": 1.5,
         "table": _core.poisson_table(5), "reach_m": 60.0},
-    "calibrated_prob": EVIDENCE, "cell_features": EVIDENCE,
+    "cell_features": EVIDENCE,
     "CellWindows": {"range_m": np.ones((4, 4), F4), "azimuth": np.ones((4, 4), F4), "cell_m": 0.5, "width_m": 1.8},
     "interpolate": {"heights_m": FLAT, "node": np.zeros(1, I4), "down": np.zeros(1), "right": np.zeros(1)},
     "lattice_positions": {"xy": np.zeros((1, 2), F4), "half_extent_m": 1.0, "nodes": 8},
@@ -147,7 +147,7 @@ ANY_LENGTH = {
     "infer_sensor": ("points",), "recover_rings": ("points",),
     "polar": ("points",), "azimuth_bins_filled": ("azimuth",), "fill_rings": ("edges",),
     "mean_and_deviation": ("probability",), "best_sectors": ("ranges",),
-    "star_vertices": ("ranges",), "beam_evidence": ("table",), "calibrated_prob": ("table", "heights_m"),
+    "star_vertices": ("ranges",), "beam_evidence": ("table",),
     "cell_features": ("table", "heights_m"), "lattice_positions": ("xy",),
     "visible_before": ("boxes",), "look_at_boxes": ("boxes",), "mark_surfaces": ("surfaces",),
     "count_met": ("surfaces", "headings", "x_m", "y_m"), "compare_view": ("blockers",), "compare_past": ("places",),
@@ -216,7 +216,7 @@ REFUSED: dict[str, list[dict[str, Any]]] = {
         {"measured": (LONG.astype(float), LONG, LONG)},
         {"heights_m": FLAT[:1, :1].copy(), "std_m": FLAT[:1, :1].copy()},
         {"std_m": FLAT[:7, :7].copy()}, {"table": np.zeros(0, F4)}, {"half_extent_m": NAN}],
-    "calibrated_prob": BAD_CELLS, "cell_features": BAD_CELLS,
+    "cell_features": BAD_CELLS,
     "CellWindows": [{"range_m": np.full((4, 4), -1, F4)}, {"range_m": np.full((4, 4), NAN, F4)},
                     {"azimuth": np.full((4, 4), 9, F4)}, {"range_m": np.full((4, 4), 1e9, F4)}, {"cell_m": 0.0},
                     {"range_m": np.ones((0, 4), F4), "azimuth": np.ones((0, 4), F4)}],
@@ -238,7 +238,7 @@ for name in OF_VIEWS:
     REFUSED.setdefault(name, []).extend(({"x_m": NAN}, {"cell_m": 0.0}))
 
 
-OF_WINDOWS = ("beam_evidence", "calibrated_prob", "cell_features")
+OF_WINDOWS = ("beam_evidence", "cell_features")
 
 
 def call(name: str, **changes: Any) -> Any:

@@ -120,7 +120,7 @@ struct Scene {
           evidence(cells),
           table(probabilities),
           limits(returns),
-          near(averaged({cells.visible_prob, of.grid_rows, of.grid_columns}, NEAR_CELLS)),
+          near(averaged({cells.counted_prob, of.grid_rows, of.grid_columns}, NEAR_CELLS)),
           wide(averaged({near.data(), of.grid_rows, of.grid_columns}, WIDE_CELLS)) {}
 };
 
@@ -171,7 +171,7 @@ void describe_block(const Scene& scene, std::size_t first, std::size_t size, flo
     add(of.measured + first, of.inferred + first, size, likely);
     add(of.measured + first, of.late + first, size, late);
     look_up(scene.table, {likely, size}, {own, size});
-    write_logits(of.visible_prob + first, size, row(CELL_PROB));
+    write_logits(of.counted_prob + first, size, row(CELL_PROB));
     write_logits(&scene.near[first], size, row(CELL_PROB_NEAR));
     write_logits(&scene.wide[first], size, row(CELL_PROB_WIDE));
     write_logits(own, size, row(CELL_OWN_PROB));
@@ -280,14 +280,14 @@ MULTIVERSION void run_network(const float* __restrict feature, const float* __re
 
 // Write the probabilities of cells from their logits.
 MULTIVERSION void decide(const float* __restrict logit, const float* __restrict counted, const float* __restrict aimed,
-                         std::size_t size, float below, float* __restrict prob) {
+                         const std::uint8_t* __restrict supported, std::size_t size, float below, float* __restrict prob) {
     for (std::size_t n = 0; n < size; ++n) {
         const float low = logit[n] < 20.0f ? logit[n] : 20.0f, x = low > -20.0f ? low : -20.0f;
         const float calibrated = 1.0f / (1.0f + exp_of(-x));
-        const float claim = calibrated > THRESHOLD ? calibrated : THRESHOLD, denial = calibrated < below ? calibrated : below;
+        const float least = supported[n] & (counted[n] >= THRESHOLD) ? THRESHOLD : 0.0f, most = supported[n] ? 1.0f : below;
+        const float at_least = calibrated > least ? calibrated : least, said = at_least < most ? at_least : most;
         const bool is_silent = (counted[n] <= 0.0f) & (aimed[n] <= 0.0f);
-        const float other = is_silent ? 0.0f : denial;
-        prob[n] = counted[n] >= THRESHOLD ? claim : other;
+        prob[n] = is_silent ? 0.0f : said;
     }
 }
 
@@ -304,17 +304,18 @@ void describe_cells(const CellWindows& windows, const CellEvidence& evidence, co
     }
 }
 
-void calibrate(const CellWindows& windows, const CellEvidence& evidence, const LeveledReturns& returns, View1<const float> table,
-               View2<const float> heights_m, View1<float> prob) {
+void calibrate(const CellWindows& windows, const CellEvidence& evidence, const bool* supported, const LeveledReturns& returns,
+               View1<const float> table, View2<const float> heights_m, View1<float> prob) {
     Description description(Scene(windows, evidence, returns, table), heights_m);
     const auto bias = bias_of(description.sweep);
     const float below = std::nextafter(THRESHOLD, 0.0f);
+    const auto* const is_supported = reinterpret_cast<const std::uint8_t*>(supported);
     for_ranges(description.blocks, count_parts(windows.cells(), PART), [&](std::size_t, std::size_t begin, std::size_t end) {
         float logit[CELLS];
         for (std::size_t block = begin; block < end; ++block) {
             const std::size_t at = block * CELLS, size = std::min(CELLS, windows.cells() - at);
             run_network(description.of(block), bias.data(), size, logit);
-            decide(logit, evidence.visible_prob + at, evidence.aimed + at, size, below, &prob[at]);
+            decide(logit, evidence.counted_prob + at, evidence.aimed + at, is_supported + at, size, below, &prob[at]);
         }
     });
 }

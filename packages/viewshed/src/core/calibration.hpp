@@ -1,4 +1,4 @@
-// Calibrate the probability that a cell is visible, by a small network fitted to exact truth.
+// The probability that a cell is visible: that by counting beams, corrected by a small network fitted to exact truth.
 #pragma once
 
 #include "arrays.hpp"
@@ -31,7 +31,7 @@ constexpr std::size_t SHOWN_FEATURES = CELL_FEATURES + SWEEP_FEATURES;
 
 // Evidence (N,) of cells.
 struct CellEvidence {
-    const float *measured, *inferred, *late, *aimed, *visible_prob;
+    const float *measured, *inferred, *late, *aimed, *counted_prob;
 };
 
 // Write the features (SHOWN_FEATURES, N) of cells: their own, then those of the sweep, equal for all. `returns` are all
@@ -39,9 +39,10 @@ struct CellEvidence {
 void describe_cells(const CellWindows& windows, const CellEvidence& evidence, const LeveledReturns& returns,
                     View1<const float> table, View2<const float> heights_m, View2<float> feature);
 
-// Write the probability (N,) that a cell is visible. It stays on the same side of the threshold as the counted one,
-// since the beams decide claims; it is 0 without any beams.
-void calibrate(const CellWindows& windows, const CellEvidence& evidence, const LeveledReturns& returns, View1<const float> table,
-               View2<const float> heights_m, View1<float> prob);
+// Write the probability (N,) that a cell is visible. It is 0 without any beams, and below the threshold in cells that are not
+// `supported` (N,): the network has seen few walls that absorb light, and would look behind them. In supported cells it
+// does not take back what the count claims.
+void calibrate(const CellWindows& windows, const CellEvidence& evidence, const bool* supported, const LeveledReturns& returns,
+               View1<const float> table, View2<const float> heights_m, View1<float> prob);
 
 }  // namespace viewshed

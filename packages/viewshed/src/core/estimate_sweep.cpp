@@ -197,15 +197,19 @@ SweepEstimate SweepEstimator::estimate(const SweepInput& given, const SensorMode
     const double reach_m = reach_of(sweep.model == nullptr ? model : sweep.model);
     // 4. Compute the evidence of each cell.
     const std::size_t cells = grid_.size();
-    Buffer<float> measured(cells), inferred(cells), late(cells), aimed(cells), visible_prob(cells), calibrated(cells);
-    Buffer<bool> within_reach(cells);
+    Buffer<float> measured(cells), inferred(cells), late(cells), aimed(cells), counted_prob(cells), visible_prob(cells);
+    Buffer<bool> supported(cells), within_reach(cells);
     const std::size_t nodes = at.ground.nodes;
     const Ground ground = at.ground.view();
     const View2<const float> std_m{at.ground.std_m.data(), nodes, nodes};
     measure_evidence(windows_, {at.level.azimuth, split.slope, at.level.range_m}, lost_beams(split.missing),
                      {ground.heights_m, std_m, ground.half_extent_m, float(at.height_m)},
                      float(target_.height_m), probabilities_, float(reach_m),
-                     {measured.data(), inferred.data(), late.data(), aimed.data(), visible_prob.data(), within_reach.data()});
+                     {measured.data(), inferred.data(), late.data(), aimed.data(), counted_prob.data(), supported.data(),
+                      within_reach.data()});
+    calibrate(windows_, {measured.data(), inferred.data(), late.data(), aimed.data(), counted_prob.data()},
+              supported.data(), {at.level.azimuth, at.level.range_m, at.level.height_m, LOW_M, HIGH_M}, probabilities_,
+              ground.heights_m, visible_prob);
     // 5. Decide states from the cells that the evidence claims or denies.
     Buffer<bool> obstacle(cells + 1);
     const SquareCells square{float(grid_.x0_m()), float(grid_.y0_m()), float(1.0 / grid_.cell_m()), LOW_M, HIGH_M,
@@ -217,10 +221,7 @@ SweepEstimate SweepEstimator::estimate(const SweepInput& given, const SensorMode
     const auto bytes = [](const Buffer<bool>& mask) { return reinterpret_cast<const std::uint8_t*>(mask.data()); };
     write_states({measured.data(), late.data(), aimed.data(), visible_prob.data(), bytes(within_reach)}, probabilities_,
                  {visible.data(), denied.data(), bytes(obstacle)}, state);
-    // 6. Calibrate the probabilities of visible.
-    calibrate(windows_, {measured.data(), inferred.data(), late.data(), aimed.data(), visible_prob.data()},
-              {at.level.azimuth, at.level.range_m, at.level.height_m, LOW_M, HIGH_M}, probabilities_, ground.heights_m, calibrated);
-    // 7. Summarize what the estimate is based on.
+    // 6. Summarize what the estimate is based on.
     const Claims claims = count_claims(state, measured.data(), nodes_of_cells(nodes).data, std_m.flat(), probabilities_);
     const double claimed = double(std::max<std::size_t>(claims.all, 1));
     const HeightSource source = sweep.height_m                 ? HeightSource::GIVEN
@@ -228,7 +229,7 @@ SweepEstimate SweepEstimator::estimate(const SweepInput& given, const SensorMode
                                                           : HeightSource::ASSUMED;
     const Basis basis{at.height_m, source, std::min(at.ground.support, 1.0), double(claims.over_unsure_ground) / claimed,
                       double(claims.inferred) / claimed, reach_m};
-    return {std::move(state), std::move(calibrated), basis, model, at.rotation};
+    return {std::move(state), std::move(visible_prob), basis, model, at.rotation};
 }
 
 }  // namespace viewshed

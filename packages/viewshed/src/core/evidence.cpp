@@ -24,9 +24,6 @@ constexpr float STEP_WEIGHT = 0.3f, OWN_WEIGHT = 1.0f - STEP_WEIGHT - STEP_WEIGH
 // Weight of the early and of the late depths of no-return beams; the likely depths have the rest.
 constexpr float END_WEIGHT = 0.3f;
 
-// Largest probability below the threshold.
-const float BELOW_THRESHOLD = std::nextafter(THRESHOLD, 0.0f);
-
 // Fewest cells for which a part pays for its thread.
 constexpr std::size_t PART = 16384;
 
@@ -80,7 +77,6 @@ INLINE void write_returns(const float* __restrict sums, std::size_t size, float*
 MULTIVERSION void judge_block(const float (*lanes)[CellCounts::BLOCK], std::size_t first, std::size_t size,
                               const float* range_m, const Probabilities& probabilities_, float reach_m,
                               const Evidence& to) {
-    const float below_threshold = BELOW_THRESHOLD;
     const Probabilities probabilities = probabilities_;
     write_returns(lanes[MEASURED], size, to.measured + first);
     write_returns(lanes[INFERRED], size, to.inferred + first);
@@ -89,7 +85,7 @@ MULTIVERSION void judge_block(const float (*lanes)[CellCounts::BLOCK], std::size
     const float *__restrict measured = to.measured + first, *__restrict inferred = to.inferred + first;
     const float *__restrict early = lanes[EARLY], *__restrict late = to.late + first;
     const float *__restrict lower = lanes[LOWER], *__restrict higher = lanes[HIGHER];
-    float* __restrict const visible_prob = to.visible_prob + first;
+    float* __restrict const counted_prob = to.counted_prob + first;
     // Computing the steps vectorizes, the look-ups do not: separate loops.
     std::int32_t step[CellCounts::BLOCK], step_if_lower[CellCounts::BLOCK], step_if_higher[CellCounts::BLOCK];
     std::int32_t step_if_early[CellCounts::BLOCK], step_if_late[CellCounts::BLOCK];
@@ -100,28 +96,25 @@ MULTIVERSION void judge_block(const float (*lanes)[CellCounts::BLOCK], std::size
         step_if_early[n] = probabilities.step_of(measured[n] + early[n]);
         step_if_late[n] = probabilities.step_of(measured[n] + late[n]);
     }
-    float supported_by[CellCounts::BLOCK], if_lower[CellCounts::BLOCK], if_higher[CellCounts::BLOCK];
+    float own_prob[CellCounts::BLOCK], if_lower[CellCounts::BLOCK], if_higher[CellCounts::BLOCK];
     float if_early[CellCounts::BLOCK], if_late[CellCounts::BLOCK];
     for (std::size_t n = 0; n < size; ++n) {
-        supported_by[n] = probabilities.table[step[n]];
+        own_prob[n] = probabilities.table[step[n]];
         if_lower[n] = probabilities.table[step_if_lower[n]];
         if_higher[n] = probabilities.table[step_if_higher[n]];
         if_early[n] = probabilities.table[step_if_early[n]];
         if_late[n] = probabilities.table[step_if_late[n]];
     }
     for (std::size_t n = 0; n < size; ++n) {
-        const float supported = supported_by[n];
         // Average over the ground heights, plus the change by early and late depths.
-        const float over_ground = OWN_WEIGHT * supported + STEP_WEIGHT * if_lower[n] + STEP_WEIGHT * if_higher[n];
-        const float changed = END_WEIGHT * (if_early[n] - supported) + END_WEIGHT * (if_late[n] - supported);
+        const float over_ground = OWN_WEIGHT * own_prob[n] + STEP_WEIGHT * if_lower[n] + STEP_WEIGHT * if_higher[n];
+        const float changed = END_WEIGHT * (if_early[n] - own_prob[n]) + END_WEIGHT * (if_late[n] - own_prob[n]);
         const float sum = over_ground + changed, positive = sum > 0.0f ? sum : 0.0f;
-        const float prob = positive < 1.0f ? positive : 1.0f;
-        // A claim needs support at the estimated ground height, and lies within reach: farther things may be too dark.
-        const float cut = prob < below_threshold ? prob : below_threshold;
-        visible_prob[n] = (supported >= THRESHOLD) & (range_m[first + n] <= reach_m) ? prob : cut;
+        counted_prob[n] = positive < 1.0f ? positive : 1.0f;
     }
-    bool* __restrict const within_reach = to.within_reach + first;
+    bool *__restrict const within_reach = to.within_reach + first, *__restrict const supported = to.supported + first;
     for (std::size_t n = 0; n < size; ++n) within_reach[n] = range_m[first + n] <= reach_m;
+    for (std::size_t n = 0; n < size; ++n) supported[n] = (own_prob[n] >= THRESHOLD) & (range_m[first + n] <= reach_m);
 }
 
 }  // namespace

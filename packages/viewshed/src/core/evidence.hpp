@@ -22,10 +22,11 @@ void look_up(View1<const float> table, View1<const float> counts, View1<float> p
 // more or less must not decide. Ground with a larger standard deviation than UNSURE_M is unsure.
 constexpr float THRESHOLD = 0.5f, SURE_AIM = 0.9f, UNSURE_M = 0.5f;
 
-// Output arrays (N,), as in viewshed.preprocess.evidence.BeamEvidence.
+// Output arrays (N,), as in viewshed.preprocess.evidence.BeamEvidence; `supported` marks the cells within reach where enough
+// beams reach a target on the estimated ground.
 struct Evidence {
-    float *measured, *inferred, *late, *aimed, *visible_prob;
-    bool* within_reach;
+    float *measured, *inferred, *late, *aimed, *counted_prob;
+    bool *supported, *within_reach;
 };
 
 // Write the evidence of the cells of a grid, for a sensor that sees dark targets up to reach_m.

@@ -1,4 +1,4 @@
-"""The calibrated probability: laws, the network in NumPy, and exact truth that it was not fitted to."""
+"""The probability of visible: laws, the network in NumPy, and exact truth that it was not fitted to."""
 
 from dataclasses import replace
 from functools import lru_cache
@@ -9,10 +9,11 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter
 
 from viewshed import CAR, GRIDS, Sweep, load_estimator
+from viewshed.arrays import F32, F64
 from viewshed.fov.estimate import THRESHOLD
 from viewshed.fov.visibility import probability_of_visible
 from viewshed.grid import polar_of_cells
-from viewshed.preprocess.evidence import beam_evidence, calibrated_prob, cell_features
+from viewshed.preprocess.evidence import beam_evidence, cell_features
 from viewshed.preprocess.leveling import LeveledSweep, level
 from viewshed_lab.data.wild import WildObservation, wild_scenes
 from viewshed_lab.training.no_return import arrays_of
@@ -36,31 +37,37 @@ def expected_error(prob: NDArray[np.float32], visible: NDArray[np.bool_]) -> flo
     return float(np.abs(np.bincount(at, prob) - np.bincount(at, visible)).sum() / len(prob))
 
 
-def test_cells_stay_on_their_side_and_cells_without_beams_are_silent() -> None:
+def said_by_numpy(features: F32) -> F64:
+    """Return the network's probability (cells, cells) for features (F, cells, cells)."""
+    of = arrays_of(NUMBERS.read_text(encoding="ascii"))
+    # Features of the sweep, the last ones, are cut off sooner.
+    most = np.where(np.arange(len(features)) < OWN, 6, 2)
+    inputs = ((features.reshape(len(features), -1).T - of["mean"]) * of["scale"]).clip(-most, most)
+    hidden = np.maximum(inputs @ of["first"] + of["first_bias"], 0)
+    prob: F64 = 1 / (1 + np.exp(-(hidden @ of["second"] + of["second_bias"])[:, 0].reshape(features.shape[1:])))
+    return prob
+
+
+def test_cells_without_beams_are_silent_and_none_is_visible_without_support() -> None:
     _, leveled = observed(0)
     evidence = beam_evidence(leveled, GRIDS["road"], CAR)
-    prob = calibrated_prob(leveled, evidence)
-    assert np.array_equal(prob >= THRESHOLD, evidence.visible_prob >= THRESHOLD)
-    silent = (evidence.visible_prob == 0) & (evidence.aimed <= 0)
+    prob = evidence.visible_prob
+    silent = (evidence.counted_prob == 0) & (evidence.aimed <= 0)
     assert silent.any()
     assert not prob[silent].any()
+    # Support: enough beams reach a target on the estimated ground, within reach.
+    supported = evidence.within_reach & (probability_of_visible(evidence.reaching, CAR.min_returns) >= THRESHOLD)
+    assert (prob[~supported] < THRESHOLD).all()
+    assert 0 < (prob[supported] < THRESHOLD).mean() < 0.3
     assert prob.min() >= 0
     assert prob.max() <= 1
-    # The same claims are said with other probabilities.
-    assert np.abs(prob - evidence.visible_prob)[~silent].mean() > 0.01
+    assert np.abs(prob - evidence.counted_prob)[~silent].mean() > 0.01
 
 
 def test_the_core_runs_the_network_whose_numbers_it_holds() -> None:
     _, leveled = observed(1)
     evidence = beam_evidence(leveled, GRIDS["road"], CAR)
-    of = arrays_of(NUMBERS.read_text(encoding="ascii"))
-    features = cell_features(leveled, evidence)
-    # Features of the sweep, the last ones, are cut off sooner.
-    most = np.where(np.arange(len(features)) < OWN, 6, 2)
-    inputs = ((features.reshape(len(features), -1).T - of["mean"]) * of["scale"]).clip(-most, most)
-    hidden = np.maximum(inputs @ of["first"] + of["first_bias"], 0)
-    said = 1 / (1 + np.exp(-(hidden @ of["second"] + of["second_bias"])[:, 0].reshape(evidence.grid.shape)))
-    prob = calibrated_prob(leveled, evidence)
+    said, prob = said_by_numpy(cell_features(leveled, evidence)), evidence.visible_prob
     inside = (prob > 0) & (np.abs(prob - THRESHOLD) > 1e-3)
     assert inside.mean() > 0.2
     assert np.abs(prob - said)[inside].max() < 1e-4
@@ -77,7 +84,7 @@ def test_features_of_cells_are_those_of_numpy() -> None:
         filtered: NDArray[np.float64] = uniform_filter(values, width, mode="nearest")
         return np.asarray(uniform_filter(filtered, width, mode="nearest"))
 
-    counted = evidence.visible_prob.astype(np.float64)
+    counted = evidence.counted_prob.astype(np.float64)
     near = mean_around(counted, 5)
     returns = [evidence.aimed, evidence.measured, evidence.reaching, evidence.measured + evidence.late]
     own = probability_of_visible(evidence.reaching, CAR.min_returns).astype(np.float64)
@@ -104,7 +111,7 @@ def test_a_sweep_that_aims_nowhere_is_described() -> None:
     evidence = beam_evidence(leveled, GRIDS["road"], CAR)
     assert not evidence.aimed.any()
     assert not cell_features(leveled, evidence)[OWN:-1].any()
-    assert not calibrated_prob(leveled, evidence).any()
+    assert not evidence.visible_prob.any()
 
 
 def test_the_same_cells_are_doubted_more_where_the_ground_is_uneven() -> None:
@@ -112,7 +119,8 @@ def test_the_same_cells_are_doubted_more_where_the_ground_is_uneven() -> None:
     evidence = beam_evidence(leveled, GRIDS["road"], CAR)
     hilly = replace(leveled.ground, heights_m=(leveled.ground.heights_m * 20).astype(np.float32))
     claimed = evidence.supports_claim()
-    even, uneven = (calibrated_prob(one, evidence)[claimed].mean() for one in (leveled, replace(leveled, ground=hilly)))
+    sweeps = leveled, replace(leveled, ground=hilly)
+    even, uneven = (said_by_numpy(cell_features(sweep, evidence))[claimed].mean() for sweep in sweeps)
     assert uneven < even
 
 
@@ -125,7 +133,8 @@ def test_features_of_a_wall_in_the_dark() -> None:
     points = np.concatenate([ground.reshape(-1, 3), wall]).astype(np.float32)
     leveled = level(Sweep(points, sensor_height_m=1.8, attitude=np.array([1.0, 0, 0, 0])), GRIDS["road"])
     features = cell_features(leveled, beam_evidence(leveled, GRIDS["road"], CAR))
-    row = {name: features[at] for at, name in enumerate(("prob", "near", "wide", "own", "blocker", "away", "farthest"))}
+    names = "prob", "near", "wide", "own", "blocker", "away", "farthest"
+    row = dict(zip(names, features, strict=False))
     ahead, behind, aside = (128 + 16, 128), (128 + 30, 128), (128, 128 + 30)
     assert np.isclose(row["blocker"][ahead], np.log2(10.0 / 8.25), atol=0.03)
     assert np.isclose(row["blocker"][behind], np.log2(10.0 / 15.25), atol=0.03)
@@ -142,8 +151,8 @@ def test_it_is_better_calibrated_than_the_count_in_places_it_was_not_fitted_to()
     for at in range(len(SCENES)):
         seen, leveled = observed(at)
         evidence = beam_evidence(leveled, seen.truth.grid, CAR)
-        counted.append(evidence.visible_prob[seen.known])
-        calibrated.append(calibrated_prob(leveled, evidence)[seen.known])
+        counted.append(evidence.counted_prob[seen.known])
+        calibrated.append(evidence.visible_prob[seen.known])
         visible.append(seen.truth.visible(CAR)[seen.known])
     truth = np.concatenate(visible)
     errors = [expected_error(np.concatenate(prob), truth) for prob in (calibrated, counted)]
@@ -154,4 +163,4 @@ def test_it_is_better_calibrated_than_the_count_in_places_it_was_not_fitted_to()
 def test_the_estimator_says_it() -> None:
     seen, leveled = observed(2)
     estimate = load_estimator("shadow_map", grid=seen.truth.grid, target="car").estimate(leveled)
-    assert np.array_equal(estimate.visible_prob, calibrated_prob(leveled, beam_evidence(leveled, seen.truth.grid, CAR)))
+    assert np.array_equal(estimate.visible_prob, beam_evidence(leveled, seen.truth.grid, CAR).visible_prob)

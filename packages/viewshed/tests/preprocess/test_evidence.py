@@ -157,13 +157,9 @@ def test_evidence_is_the_definition_beam_by_beam(target: Target, grid: BevGrid, 
     within = np.hypot(*np.moveaxis(grid.centers, -1, 0)) <= reach_of_sweep(leveled)
     assert np.array_equal(evidence.within_reach, within)
     # The mean over the heights, but no claim by other heights alone.
-    said = np.where(enough & within, prob, np.minimum(prob, 0.5))
-    assert np.abs(evidence.visible_prob - said)[sure].max() < 1e-5
-    clear = sure & (np.abs(prob - 0.5) > 1e-3)
-    assert np.array_equal(evidence.supports_claim()[clear], (enough & (prob > 0.5) & within)[clear])
-    assert 0 < evidence.supports_claim()[clear].mean() < 1
-    if std_m:
-        assert (enough & ~evidence.supports_claim() & within)[clear].any()
+    assert np.abs(evidence.counted_prob - prob)[sure].max() < 1e-5
+    assert not (evidence.supports_claim() & ~(enough & within))[sure].any()
+    assert 0 < evidence.supports_claim()[sure].mean() < 1
 
 
 def test_beams_that_aim_are_counted_whatever_their_depth() -> None:
@@ -216,7 +212,7 @@ def evidence_by_hand() -> BeamEvidence:
     grid, columns = BevGrid(4, 8.0), np.zeros((5, 16), np.float32)
     columns[:, : len(CASES)] = np.array([case for case, *_ in CASES], np.float32).T
     measured, inferred, aimed, prob, within = columns.reshape(5, 4, 4)
-    return BeamEvidence(grid, CAR, measured, inferred, inferred, aimed, prob, within == 1.0, 80.0)
+    return BeamEvidence(grid, CAR, measured, inferred, inferred, aimed, prob, prob, within == 1.0, 80.0)
 
 
 def test_each_state_needs_its_beams() -> None:

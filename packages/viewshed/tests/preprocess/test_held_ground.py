@@ -9,6 +9,7 @@ from weakref import ref
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from viewshed import CAR, BevGrid, Rigid, Sweep
 from viewshed.arrays import F64, Mask
@@ -86,8 +87,8 @@ ALONG_THE_BANK = (bank, [0.0, 10.0, 20.0, 30.0, 40.0])
 
 @pytest.mark.parametrize(
     ("scene", "gain", "loss", "share"),
-    # What the bank hides is nearly as well predicted as it was seen earlier.
-    [(ACROSS_THE_CREST, 0.1, 0.0, 0.5), (ALONG_THE_BANK, 0.005, 0.02, 1.0)],
+    # What the bank hides is about as well predicted as it was seen earlier.
+    [(ACROSS_THE_CREST, 0.1, 0.001, 0.5), (ALONG_THE_BANK, 0.001, 0.0, 1.0)],
     ids=["crest", "bank"],
 )
 def test_ground_seen_only_earlier_raises_recall_at_about_the_same_precision(
@@ -126,8 +127,12 @@ def test_held_ground_says_how_unsure_it_is() -> None:
     assert (late[both] > soon[both] + 0.05).mean() > 0.95
 
 
-@pytest.mark.parametrize("by_m", [0.6, 3.0])
-def test_what_a_poisoned_sweep_costs_is_less_with_a_stream(by_m: float) -> None:
+@pytest.mark.parametrize(
+    ("by_m", "gain"),
+    # Moved far, a sweep claims a little more by itself, and more of it falsely.
+    [(0.6, 0.03), (3.0, -0.04)],
+)
+def test_what_a_poisoned_sweep_costs_is_less_with_a_stream(by_m: float, gain: float) -> None:
     """The left side is moved as if it lay lower: alone, the sensor then seems to stand above that."""
     ground, places_m = ACROSS_THE_CREST
     sweeps, truth, known = drive(world_of(ground), places_m)
@@ -137,9 +142,8 @@ def test_what_a_poisoned_sweep_costs_is_less_with_a_stream(by_m: float) -> None:
     assert held.sensor_height_m == pytest.approx(HEIGHT_M, abs=0.1)
     assert held.held.is_height_held
     alone, streamed = (precision_recall(one, truth, known) for one in (poisoned, held))
-    # Alone, a sweep that is moved far claims little, and nearly all of it rightly.
-    assert streamed[0] > min(alone[0], 0.99) - 0.001
-    assert streamed[1] > alone[1] + 0.08
+    assert streamed[0] > alone[0]
+    assert streamed[1] > alone[1] + gain
 
 
 def test_nothing_is_held_where_a_pose_is_off() -> None:
@@ -167,7 +171,7 @@ def test_a_height_that_is_given_is_no_matter_of_the_stream() -> None:
     held = hold_over([*sweeps[:-1], given])[-1]
     assert held.sensor_height_m == 2.4
     assert not held.held.is_height_held
-    assert len(held.held.heights_m) == 3
+    assert len(held.held.estimates) == 3
 
 
 def test_an_estimator_takes_what_the_stream_holds() -> None:
@@ -234,6 +238,23 @@ def test_the_height_at_rest_is_one_number_and_changes_only_where_most_estimates_
     assert found == pytest.approx([1.8] * 4 + [2.4] * 4)
 
 
+def test_the_attitude_at_rest_is_that_of_most_estimates() -> None:
+    rest, world = Rest(), world_of(crest)
+    pitches, found = [0.0, 8.0, 0.0, 7.5, 8.0, 0.0, 8.5, 8.0], []
+    for number, pitch_deg in enumerate(pitches):
+        one = without_pose(observed(world, -12.0, number=number)[0], 1.0 + 0.1 * number)
+        turned = Rigid(Rotation.from_euler("y", pitch_deg, degrees=True).as_matrix(), np.array([0.0, 0.0, HEIGHT_M]))
+        held = rest.hold(replace(one, level_from_sensor=turned))
+        assert held.sweep is one.sweep
+        found.append(
+            float(np.degrees(np.arctan2(-held.level_from_sensor.rotation[2, 0], held.level_from_sensor.rotation[2, 2])))
+        )
+    # The fifth estimate is the third near 8°, against two of 0°.
+    assert found[:4] == pytest.approx([0.0] * 4, abs=1e-6)
+    assert found[4:] == pytest.approx([found[4]] * 4, abs=1e-6)
+    assert 7.4 < found[4] < 8.6
+
+
 @pytest.mark.parametrize(("x_m", "t_s"), [(-10.0, 1.1), (-12.0, 30.0), (-12.0, 0.5)], ids=["moved", "late", "back"])
 def test_who_moves_or_whose_time_jumps_begins_anew_without_poses(x_m: float, t_s: float) -> None:
     world = world_of(crest)
@@ -243,20 +264,19 @@ def test_who_moves_or_whose_time_jumps_begins_anew_without_poses(x_m: float, t_s
     assert rest.hold(without_pose(observed(world, x_m, number=2)[0], t_s + 0.1)).held is not None
 
 
-def test_a_real_sensor_at_rest_that_sees_little_ground_keeps_its_height(real_data: Path) -> None:
-    """Each by itself, its sweeps have heights of .3 to 1.0 m; from the first estimate of a stream on all have one."""
+def test_a_real_sensor_at_rest_that_sees_little_ground_keeps_height_and_attitude(real_data: Path) -> None:
+    """Each by itself, its sweeps have heights of .3 to 1.0 m and tilts of 0 to 8°; in a stream all soon have one."""
     sweeps = list(read_sweeps(real_data / "vlp16_packets" / "einride_recording.bin"))
     alone = [ShadowMap(GRID, CAR).estimate(sweep) for sweep in sweeps]
     held = list(ShadowMap(GRID, CAR).stream(sweeps))
     alone_m, held_m = ([found.basis.sensor_height_m for found in kind] for kind in (alone, held))
     assert np.ptp(alone_m) > 0.5
-    assert np.ptp(held_m[3:]) < 0.05
+    assert np.ptp(held_m[4:]) == 0.0
 
     def iou(kind: list[FovEstimate]) -> float:
         """Return the mean over pairs of sweeps of the last half: visible in both, of visible in either."""
         pairs = [(one.visible(), other.visible()) for one, other in pairwise(kind[5:])]
         return float(np.mean([(one & other).sum() / (one | other).sum() for one, other in pairs]))
 
-    # Its attitude is estimated anew from few returns, and what it does not see lies by that.
-    assert iou(held) > 0.9
-    assert iou(held) > iou(alone) + 0.01
+    assert iou(held) > 0.94
+    assert iou(held) > iou(alone) + 0.04

@@ -46,17 +46,17 @@ TargetGround ground_of(const In2<float>& heights_m, const In2<float>& std_m, flo
     return {view(heights_m), view(std_m), half_extent_m, sensor_height_m};
 }
 
-// Evidence (cells, cells): measured, inferred, late, aimed, visible_prob.
+// Evidence (cells, cells): measured, inferred, late, aimed, counted_prob.
 using EvidenceArrays = std::tuple<In2<float>, In2<float>, In2<float>, In2<float>, In2<float>>;
 // Azimuth, range_m and height_m (M,) of the returns of a leveled sweep.
 using ReturnArrays = std::tuple<In1<float>, In1<float>, In1<float>>;
 
 CellEvidence cells_of(const CellWindows& windows, const EvidenceArrays& arrays) {
-    const auto& [measured, inferred, late, aimed, visible_prob] = arrays;
-    require(have_one_shape(measured, inferred, late, aimed, visible_prob) && measured.shape(0) == windows.grid_rows &&
+    const auto& [measured, inferred, late, aimed, counted] = arrays;
+    require(have_one_shape(measured, inferred, late, aimed, counted) && measured.shape(0) == windows.grid_rows &&
                 measured.shape(1) == windows.grid_columns,
             "evidence must have the shape (cells, cells) of the windows");
-    return {measured.data(), inferred.data(), late.data(), aimed.data(), visible_prob.data()};
+    return {measured.data(), inferred.data(), late.data(), aimed.data(), counted.data()};
 }
 
 LeveledReturns returns_of(const ReturnArrays& arrays, float low_m, float high_m) {
@@ -116,43 +116,32 @@ void bind_evidence(nb::module_& m) {
         "that aim at it.");
     m.def(
         "beam_evidence",
-        [](const CellWindows& windows, const BeamArrays& measured_beams, const LostArrays& lost_arrays, In2<float> heights_m,
-           In2<float> std_m, float half_extent_m, float sensor_height_m, float target_height_m,
-           In1<float> table, float reach_m) {
+        [](const CellWindows& windows, const BeamArrays& measured_beams, const LostArrays& lost_arrays,
+           const ReturnArrays& return_arrays, In2<float> heights_m, In2<float> std_m, float half_extent_m,
+           float sensor_height_m, float target_height_m, float low_m, float high_m, In1<float> table, float reach_m) {
             const Beams beams = beams_of(measured_beams);
+            const LeveledReturns returns = returns_of(return_arrays, low_m, high_m);
             const LostBeams lost = lost_beams_of(lost_arrays);
             const TargetGround ground = ground_of(heights_m, std_m, half_extent_m, sensor_height_m);
             const View1<const float> probabilities = table_of(table);
             const std::size_t cells = windows.cells();
-            Buffer<float> measured(cells), inferred(cells), late(cells), aimed(cells), visible_prob(cells);
-            Buffer<bool> within_reach(cells);
+            Buffer<float> measured(cells), inferred(cells), late(cells), aimed(cells), counted(cells), prob(cells);
+            Buffer<bool> supported(cells), within_reach(cells);
             without_lock([&] {
                 measure_evidence(windows, beams, lost, ground, target_height_m, probabilities, reach_m,
-                                 {measured.data(), inferred.data(), late.data(), aimed.data(), visible_prob.data(),
+                                 {measured.data(), inferred.data(), late.data(), aimed.data(), counted.data(), supported.data(),
                                   within_reach.data()});
+                calibrate(windows, {measured.data(), inferred.data(), late.data(), aimed.data(), counted.data()}, supported.data(), returns, probabilities, ground.heights_m, prob);
             });
             const auto shaped = [&](auto& buffer) { return array(std::move(buffer), {windows.grid_rows, windows.grid_columns}); };
-            return tuple_of(shaped(measured), shaped(inferred), shaped(late), shaped(aimed),
-                            shaped(visible_prob), shaped(within_reach));
+            return tuple_of(shaped(measured), shaped(inferred), shaped(late), shaped(aimed), shaped(counted), shaped(prob),
+                            shaped(within_reach));
         },
-        "windows"_a, "measured"_in, "lost"_in, "heights_m"_in, "std_m"_in, nb::kw_only(), "half_extent_m"_a,
-        "sensor_height_m"_a, "target_height_m"_a, "table"_in, "reach_m"_a,
-        "Return measured, inferred, late, aimed, visible_prob, within_reach (cells, cells) of a target in each cell, "
-        "from measured beams (azimuth, slope, depth) and lost ones (azimuth, slope, likely, early and late depth).");
-    m.def(
-        "calibrated_prob",
-        [](const CellWindows& windows, const EvidenceArrays& evidence, const ReturnArrays& returns, float low_m, float high_m,
-           In2<float> heights_m, In1<float> table) {
-            Buffer<float> prob(windows.cells());
-            const CellEvidence cells = cells_of(windows, evidence);
-            const LeveledReturns seen = returns_of(returns, low_m, high_m);
-            without_lock([&] { calibrate(windows, cells, seen, table_of(table), view(heights_m), prob); });
-            return array(std::move(prob), {windows.grid_rows, windows.grid_columns});
-        },
-        "windows"_a, "evidence"_in, "returns"_in, "low_m"_a, "high_m"_a, "heights_m"_in, nb::kw_only(), "table"_in,
-        "Return the calibrated probability (cells, cells) of visible, from evidence (measured, inferred, late, "
-        "aimed, visible_prob; cells, cells), returns (azimuth, range_m, height_m), height limits low_m and high_m of "
-        "obstacles above local ground, and ground heights on their lattice.");
+        "windows"_a, "measured"_in, "lost"_in, "returns"_in, "heights_m"_in, "std_m"_in, nb::kw_only(), "half_extent_m"_a,
+        "sensor_height_m"_a, "target_height_m"_a, "low_m"_a, "high_m"_a, "table"_in, "reach_m"_a,
+        "Return measured, inferred, late, aimed, counted_prob, visible_prob, within_reach (cells, "
+        "cells) of a target in each cell, from measured beams (azimuth, slope, depth), lost ones (azimuth, slope, likely, "
+        "early and late depth), returns (azimuth, range_m, height_m), and height limits low_m and high_m of obstacles.");
     m.def(
         "cell_features",
         [](const CellWindows& windows, const EvidenceArrays& evidence, const ReturnArrays& returns, float low_m, float high_m,
@@ -167,7 +156,8 @@ void bind_evidence(nb::module_& m) {
             return array(std::move(feature), {SHOWN_FEATURES, windows.grid_rows, windows.grid_columns});
         },
         "windows"_a, "evidence"_in, "returns"_in, "low_m"_a, "high_m"_a, "heights_m"_in, nb::kw_only(), "table"_in,
-        "Return the features (features, cells, cells) of calibrated_prob's network: of each cell, then of the sweep.");
+        "Return the features (features, cells, cells) of the network that corrects the counted probability: of each cell, "
+        "then of the sweep. Evidence is measured, inferred, late, aimed and counted_prob.");
     m.def(
         "states",
         [](In2<float> measured, In2<float> late, In2<float> aimed, In2<float> visible_prob, In2<bool> within_reach,

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from viewshed.estimators.classical import NEVER_ABSTAIN, ClassicalEstimator, checked_abstention
 from viewshed.fov.visibility import CAR, Beams, Target, expected_returns, probability_of_visible
 from viewshed.grid import BevGrid
-from viewshed.preprocess.evidence import beam_evidence, calibrated_prob
+from viewshed.preprocess.evidence import beam_evidence
 from viewshed.preprocess.history import History
 from viewshed.preprocess.leveling import LeveledSweep
 from viewshed.preprocess.no_return import no_return_beams
@@ -27,9 +27,9 @@ class ShadowMap(ClassicalEstimator):
     """Range-image depth test per cell and target (shadow mapping, Williams 1978, with the sensor as light source).
 
     Counts the beams that would hit a target in the cell and whose depth reaches it. The number of returns is Poisson
-    with this mean, and the probability of visible is P(N ≥ ``min_returns``). With ``inferred`` it is calibrated: the
+    with this mean, and the probability of visible is P(N ≥ ``min_returns``). With ``inferred`` it is corrected: the
     share of visible cells among cells with such counts, by exact truth
-    (:func:`viewshed.preprocess.evidence.calibrated_prob`).
+    (``visible_prob`` of :class:`viewshed.preprocess.evidence.BeamEvidence`).
 
     ``no_return`` is the rule for no-return beams: ``inferred`` (a small network infers their depth from the surrounding
     beams, see :mod:`viewshed.preprocess.no_return`), ``unknown`` (they do not count), ``max_range`` (free up to the
@@ -62,7 +62,7 @@ class ShadowMap(ClassicalEstimator):
         """Return the probability (cells, cells) that a target in each cell gives at least ``min_returns`` returns."""
         evidence = beam_evidence(leveled, self.grid, self.target, history)
         if self.no_return == "inferred":
-            return calibrated_prob(leveled, evidence)
+            return evidence.visible_prob
         beams = _beams(leveled, self.no_return)
         beams = beams if history is None else history.within(beams)
         returns, _ = expected_returns(beams, leveled.sensor_height_m, leveled.ground, self.grid, self.target)

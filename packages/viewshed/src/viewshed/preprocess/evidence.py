@@ -37,8 +37,14 @@ class BeamEvidence:
         inferred: float32 expected returns from no-return beams at their median depth.
         late: float32 expected returns from no-return beams at the depth that one in five of them exceeds.
         aimed: float32 number of measured and no-return beams aimed at the target, regardless of depth.
-        visible_prob: float32 probability of at least ``target.min_returns`` returns from both kinds, averaged over the
-            distributions of ground height and beam depth; below the threshold where no claim is supported.
+        counted_prob: float32 probability of at least ``target.min_returns`` returns from both kinds, averaged over the
+            distributions of ground height and beam depth.
+        visible_prob: float32 probability that a target in the cell is visible: a small network (fitted to exact truth
+            by ``tools/fit_calibration.py``) gives the share of visible cells among cells with the same features: the
+            evidence in the cell and around it, the nearest obstacle and the farthest return of its azimuth, and
+            averages over all cells of the sweep. It is 0 without any beams. Beyond reach, and where too few beams
+            reach a target on the estimated ground, it is below the threshold; elsewhere it reaches the threshold where
+            ``counted_prob`` does.
         within_reach: bool mask of cells within ``reach_m``.
         reach_m: maximum range of a dark target.
     """
@@ -49,6 +55,7 @@ class BeamEvidence:
     inferred: F32
     late: F32
     aimed: F32
+    counted_prob: F32
     visible_prob: F32
     within_reach: Mask
     reach_m: float
@@ -59,10 +66,9 @@ class BeamEvidence:
         return self.measured + self.inferred
 
     def supports_claim(self) -> Mask:
-        """Return the mask (cells, cells) of cells that may be called visible.
+        """Return the mask (cells, cells) of cells that may be called visible: they probably are.
 
-        These are within reach, and enough beams reach a target there, both on the estimated ground and averaged over
-        the uncertainty of its height.
+        These are within reach, and enough beams reach a target there.
         """
         return np.asarray(self.visible_prob >= np.float32(THRESHOLD))
 
@@ -103,19 +109,13 @@ class BeamEvidence:
         )
 
 
-def calibrated_prob(leveled: LeveledSweep, evidence: BeamEvidence) -> F32:
-    """Return the probability (cells, cells) that a target in each cell is visible, calibrated by exact truth.
-
-    A small network (fitted by ``tools/fit_calibration.py``) gives the share of visible cells among cells with the same
-    features: the beam evidence in the cell and around it, the nearest obstacle and the farthest return of its azimuth,
-    and averages over all cells of the sweep. The result stays on the same side of the threshold as the evidence.
-    """
-    return _core.calibrated_prob(*_feature_inputs(leveled, evidence), table=poisson_table(evidence.target.min_returns))
-
-
 def cell_features(leveled: LeveledSweep, evidence: BeamEvidence) -> F32:
-    """Return the features (features, cells, cells) of that network."""
-    return _core.cell_features(*_feature_inputs(leveled, evidence), table=poisson_table(evidence.target.min_returns))
+    """Return the features (features, cells, cells) of the network that gives ``visible_prob``."""
+    cells = evidence.measured, evidence.inferred, evidence.late, evidence.aimed, evidence.counted_prob
+    return _core.cell_features(
+        cell_windows(evidence.grid, evidence.target.width_m), cells, _returns_of(leveled), *OBSTACLE_HEIGHTS_M,
+        leveled.ground.heights_m, table=poisson_table(evidence.target.min_returns),
+    )  # fmt: skip
 
 
 class Obstacles(Protocol):
@@ -152,11 +152,14 @@ def _count_beams(leveled: LeveledSweep, grid: BevGrid, target: Target, history: 
         cell_windows(grid, target.width_m),
         measured.arrays,
         (*inferred.arrays, early.arrays[2], late.arrays[2]),
+        _returns_of(leveled),
         ground.heights_m,
         ground.std_m,
         half_extent_m=ground.half_extent_m,
         sensor_height_m=leveled.sensor_height_m,
         target_height_m=target.height_m,
+        low_m=OBSTACLE_HEIGHTS_M[0],
+        high_m=OBSTACLE_HEIGHTS_M[1],
         table=poisson_table(target.min_returns),
         reach_m=reach_m,
     )
@@ -165,11 +168,8 @@ def _count_beams(leveled: LeveledSweep, grid: BevGrid, target: Target, history: 
     return BeamEvidence(grid, target, *arrays, reach_m)
 
 
-def _feature_inputs(leveled: LeveledSweep, evidence: BeamEvidence) -> tuple[Any, ...]:
-    windows = cell_windows(evidence.grid, evidence.target.width_m)
-    cells = evidence.measured, evidence.inferred, evidence.late, evidence.aimed, evidence.visible_prob
-    returns = leveled.azimuth, leveled.range_m, leveled.height_m
-    return windows, cells, returns, *OBSTACLE_HEIGHTS_M, leveled.ground.heights_m
+def _returns_of(leveled: LeveledSweep) -> tuple[F32, F32, F32]:
+    return leveled.azimuth, leveled.range_m, leveled.height_m
 
 
 def expected_returns(leveled: LeveledSweep, boxes: NDArray[np.floating[Any]], *, leave_out_own: bool = True) -> Counts:

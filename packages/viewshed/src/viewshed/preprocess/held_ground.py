@@ -1,10 +1,10 @@
-"""Ground and sensor height carried over from earlier sweeps of a stream.
+"""Ground, height and attitude of the sensor carried over from earlier sweeps of a stream.
 
 Ground is static. Nodes that a sweep does not see take the height from the earlier sweep, if both sweeps agree on ground
 that both see nearby; their standard deviation grows with time and distance. Nodes that neither sees are predicted from
 both. Where the sweeps disagree, the current one wins and the carried-over ground is dropped. If the sensor height of a
-sweep differs from that of the last sweeps, theirs is used, unless the returns support its own. The height of a sensor
-at rest is constant: the value that most of the last estimates are close to.
+sweep differs from that of the last sweeps, theirs is used, unless the returns support its own. Height and attitude of a
+sensor at rest are constant: those that most of the last estimates are close to.
 
 Each sweep stores what it carries over and holds no reference to earlier sweeps.
 
@@ -22,15 +22,16 @@ import numpy as np
 from viewshed import _core
 from viewshed.arrays import F32
 from viewshed.fov.height_map import HeightMap
-from viewshed.geometry import Rigid
+from viewshed.geometry import Rigid, attitude_of
 from viewshed.grid import BevGrid
 from viewshed.preprocess.leveling import Held, LeveledSweep, level
 from viewshed.preprocess.streams import FORGET_S, why_anew
+from viewshed.sweep import Sweep
 
-HEIGHTS = 7
+ESTIMATES = 7
 """Number of last sweeps, including the current one, whose median height is the sensor's usual height."""
 
-MIN_HEIGHTS = 3
+MIN_ESTIMATES = 3
 """Minimum number of known heights for that median."""
 
 HEIGHT_TOLERANCE_M = 0.15
@@ -40,8 +41,11 @@ MIN_SUPPORT_RATIO = 0.8
 """Minimum ratio of ground support at the usual height to that at the own height; below it the sensor has moved up or
 down, and its own height is kept."""
 
-REST_TOLERANCE_M = 0.02
-"""Maximum difference between a sweep's own height and the usual one at rest."""
+TILT_TOLERANCE = np.radians(2.0)
+"""Maximum angle between two estimates of one attitude."""
+
+REST_TOLERANCE_M, REST_TOLERANCE = 0.02, np.radians(0.1)
+"""Maximum difference in height and in attitude between a sweep's own estimate and the usual one at rest."""
 
 STD_PER_ROOT_S, STD_PER_ROOT_M = 0.05, 0.01
 """Growth in meters of the standard deviation of carried-over ground, per root of seconds and of meters driven."""
@@ -147,37 +151,65 @@ def _seconds(leveled: LeveledSweep, before: LeveledSweep) -> float:
 
 
 def _at_held_height(leveled: LeveledSweep, before: LeveledSweep, at_rest: bool) -> tuple[LeveledSweep, Held]:
-    """Return the sweep, leveled at the usual height if its own differs too much, and the heights to carry over."""
-    own_m = _estimated_heights(leveled)
-    earlier_m = _estimated_heights(before) if before.held is None else before.held.heights_m
-    held = Held((*earlier_m, *own_m)[-HEIGHTS:])
-    if leveled.sweep.sensor_height_m is not None or len(held.heights_m) < (1 if at_rest else MIN_HEIGHTS):
+    """Return the sweep, leveled by the usual height if its own differs too much, and the estimates to carry over.
+
+    At rest, the same holds for the attitude.
+    """
+    sweep = leveled.sweep
+    earlier = _estimated(before) if before.held is None else before.held.estimates
+    held = Held((*earlier, *_estimated(leveled))[-ESTIMATES:])
+    if not _is_estimated(sweep) or len(held.estimates) < (1 if at_rest else MIN_ESTIMATES):
         return leveled, held
-    usual_m = _likeliest_height(held.heights_m, before) if at_rest else float(np.median(held.heights_m))
-    if abs(usual_m - leveled.sensor_height_m) <= (REST_TOLERANCE_M if at_rest else HEIGHT_TOLERANCE_M):
+    usual = _likeliest(held.estimates, before.level_from_sensor) if at_rest else _median_height(held.estimates)
+    usual_m = float(usual.translation[2])
+    off_m = abs(usual_m - leveled.sensor_height_m)
+    if off_m <= (REST_TOLERANCE_M if at_rest else HEIGHT_TOLERANCE_M) and not (
+        at_rest and _tilt(usual, leveled.level_from_sensor) > REST_TOLERANCE
+    ):
         return leveled, held
-    # Level again with the usual height as given; keep the original sweep, whose height is not given.
+    # Level again with the usual height and attitude as given; keep the original sweep, whose own are not given.
+    attitude = attitude_of(usual.rotation) if at_rest else sweep.attitude
     at_usual = level(
-        leveled.sweep.replace(sensor_height_m=usual_m), BevGrid(1, leveled.ground.half_extent_m), leveled.sensor_id
-    )
+        sweep.replace(sensor_height_m=usual_m, attitude=attitude), BevGrid(1, leveled.ground.half_extent_m),
+        leveled.sensor_id,
+    )  # fmt: skip
     if not at_rest and at_usual.ground.support < MIN_SUPPORT_RATIO * leveled.ground.support:
         return leveled, held
-    return replace(at_usual, sweep=leveled.sweep), replace(held, is_height_held=True)
+    return replace(at_usual, sweep=sweep), replace(held, is_height_held=sweep.sensor_height_m is None)
 
 
-def _likeliest_height(heights_m: Sequence[float], before: LeveledSweep) -> float:
-    """Return the height of a sensor at rest: the one with most estimates nearby; that of ``before`` wins ties."""
-    estimates = np.array(heights_m)
-    candidates = np.array([before.sensor_height_m, *np.sort(estimates)])
-    near = np.abs(estimates - candidates[:, None]) <= HEIGHT_TOLERANCE_M
-    best = int(np.argmax(near.sum(axis=1)))
-    return float(candidates[best] if best == 0 else np.median(estimates[near[best]]))
+def _is_estimated(sweep: Sweep) -> bool:
+    """Return whether height or attitude of a sweep are estimated from its returns."""
+    return sweep.sensor_height_m is None or sweep.known_attitude is None
 
 
-def _estimated_heights(leveled: LeveledSweep) -> tuple[float, ...]:
-    """Return the height estimated from a sweep's returns; empty if it was given or assumed."""
-    is_estimated = leveled.sweep.sensor_height_m is None and leveled.ground.support > 0
-    return (leveled.sensor_height_m,) if is_estimated else ()
+def _estimated(leveled: LeveledSweep) -> tuple[Rigid, ...]:
+    """Return ``level_from_sensor`` as estimated from a sweep's returns; empty if it was given or assumed."""
+    return (leveled.level_from_sensor,) if _is_estimated(leveled.sweep) and leveled.ground.support > 0 else ()
+
+
+def _median_height(estimates: Sequence[Rigid]) -> Rigid:
+    """Return the last estimate at the median of all heights."""
+    height_m = float(np.median([estimate.translation[2] for estimate in estimates]))
+    return Rigid(estimates[-1].rotation, np.array([0.0, 0.0, height_m]))
+
+
+def _likeliest(estimates: Sequence[Rigid], before: Rigid) -> Rigid:
+    """Return ``level_from_sensor`` at rest: the one with most estimates nearby; ``before`` wins ties."""
+    candidates = [before, *sorted(estimates, key=lambda estimate: float(estimate.translation[2]))]
+    near = [[other for other in estimates if _is_near(one, other)] for one in candidates]
+    best = max(range(len(candidates)), key=lambda k: len(near[k]))
+    return before if best == 0 else Rigid(candidates[best].rotation, _median_height(near[best]).translation)
+
+
+def _is_near(one: Rigid, other: Rigid) -> bool:
+    apart_m = abs(one.translation[2] - other.translation[2])
+    return bool(apart_m <= HEIGHT_TOLERANCE_M and _tilt(one, other) <= TILT_TOLERANCE)
+
+
+def _tilt(one: Rigid, other: Rigid) -> float:
+    """Return the angle between the verticals of two transforms ``level_from_sensor``."""
+    return float(np.arccos(np.clip(one.rotation[2] @ other.rotation[2], -1.0, 1.0)))
 
 
 def _held_ground(leveled: LeveledSweep, before: LeveledSweep, now_from_before: Rigid) -> HeightMap:

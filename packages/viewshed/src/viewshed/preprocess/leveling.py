@@ -46,11 +46,11 @@ _OBSTACLE_M = 0.5
 
 @dataclass(frozen=True, slots=True)
 class Held:
-    """Sensor heights carried over from earlier sweeps of the stream; holds no reference to the sweeps."""
+    """Height and attitude of the sensor in earlier sweeps of the stream; holds no reference to the sweeps."""
 
-    # estimated heights of the sensor above the ground in the last sweeps, the current sweep last
-    heights_m: tuple[float, ...]
-    is_height_held: bool = False  # whether a height from ``heights_m`` replaced the sweep's own estimate
+    # ``level_from_sensor`` as estimated from the returns of the last sweeps, the current sweep last
+    estimates: tuple[Rigid, ...]
+    is_height_held: bool = False  # whether a height of the ``estimates`` replaced the sweep's own
 
 
 @dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)
@@ -68,7 +68,7 @@ class LeveledSweep:
     sensor_id: SensorId = UNIDENTIFIED  # rings and sensor, the sweep's own or identified from its points
     # range image of the sweep's N returns, or None if the rings are unknown
     range_image: RangeImage | None = None
-    # sensor heights of earlier sweeps (:mod:`viewshed.preprocess.held_ground`); None without earlier sweeps
+    # height and attitude in earlier sweeps (:mod:`viewshed.preprocess.held_ground`); None without earlier sweeps
     held: Held | None = None
     every_return: Sweep | None = None  # the sweep with all returns, if a beam has several
     # cache of derived values; the first item of a key names the function that computes the value

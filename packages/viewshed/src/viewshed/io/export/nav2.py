@@ -10,15 +10,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from viewshed.fov.estimate import CellState, FovEstimate
+from viewshed.fov.estimate import CellState, FovEstimate, is_visible
 from viewshed.geometry import Rigid
 from viewshed.grid import BevGrid, polar_of_cells
 
 MAP_STATES = "trinary: FREE is free, SURFACE occupied, HIDDEN and UNKNOWN unknown"
 
-MASK_STATES = (
-    "keep-out: 0 where visible by the threshold (FREE, SURFACE), 100 where HIDDEN or UNKNOWN, unknown beyond the reach"
-)
+MASK_STATES = "keep-out: 0 where FREE or SURFACE, 100 where HIDDEN or UNKNOWN, unknown beyond the reach"
 
 NOTHING_KNOWN = -1
 """Cell value of a map or a mask: unknown."""
@@ -55,8 +53,8 @@ def to_mask(estimate: FovEstimate) -> tuple[bytes, bytes]:
 
 
 def keepout_values(estimate: FovEstimate) -> NDArray[np.int8]:
-    """Return the keep-out mask (cells, cells) int8: 0 where visible, 100 where not, unknown beyond the reach."""
-    values = np.where(estimate.visible(), np.int8(0), np.int8(100))
+    """Return the keep-out mask (cells, cells) int8: 0 where FREE or SURFACE, else 100, unknown beyond the reach."""
+    values = np.where(is_visible(estimate.state), np.int8(0), np.int8(100))
     if estimate.basis is not None:
         values[polar_of_cells(estimate.grid)[0] > estimate.basis.reach_m] = NOTHING_KNOWN
     return values
