@@ -37,6 +37,9 @@ constexpr float DEVIATIONS_APART = 2.073f, WIDER = 1.6f;
 // The network sees 2 × 2 bins as one pixel; channels of a bin, and its outputs.
 constexpr std::size_t FOLD = 2, CHANNELS = 13, OUTPUTS = 3;
 
+// Fewest bins or nodes for which a part pays for its thread.
+constexpr std::size_t PART = 4096;
+
 // Slopes flatter than this aim at no ground.
 constexpr float FLAT_SLOPE = 1e-3f, MIN_RANGE_M = 1e-3f;
 
@@ -248,8 +251,8 @@ MULTIVERSION void read_azimuth(const float (*from)[RANGE_BINS], const float* pas
 void fill_unseen(const PredictedGround& predicted, const Lattice& lattice, View1<const bool> seen, View1<float> heights_m,
                  View1<float> std_m) {
     constexpr float PER_SECTOR = float(AZIMUTH_BINS) / float(SECTORS);
-    for (std::size_t node = 0; node < lattice.size(); ++node) {
-        if (seen[node]) continue;
+    const auto fill = [&](std::size_t node) {
+        if (seen[node]) return;
         // Bilinear between the middles of bins; azimuths wrap around.
         const float turn = lattice.azimuth[node] * PER_SECTOR + float(AZIMUTH_BINS) - 0.5f;
         const float place = std::clamp(range_place(lattice.range_m[node]) - 0.5f, 0.0f, float(RANGE_BINS) - 1.001f);
@@ -262,7 +265,10 @@ void fill_unseen(const PredictedGround& predicted, const Lattice& lattice, View1
         };
         heights_m[node] = between(predicted.height_m);
         std_m[node] = (between(predicted.high_m) - between(predicted.low_m)) * (WIDER / DEVIATIONS_APART);
-    }
+    };
+    for_ranges(lattice.size(), count_parts(lattice.size(), PART), [&](std::size_t, std::size_t begin, std::size_t end) {
+        for (std::size_t node = begin; node < end; ++node) fill(node);
+    });
 }
 
 }  // namespace
@@ -337,27 +343,32 @@ PredictedGround predict_ground(View1<const float> maps, float sensor_height_m) {
     constexpr std::size_t PIXELS = FOLD * FOLD;
     PolarImage input(AZIMUTH_BINS / FOLD, RANGE_BINS / FOLD, CHANNELS * PIXELS);
     const float log_height = std::log(std::max(sensor_height_m, 0.05f) / 1.8f);
-    float channels[CHANNELS][RANGE_BINS];
-    for (std::size_t a = 0; a < AZIMUTH_BINS; ++a) {
-        describe_azimuth(&maps[a * RANGE_BINS], &base_m[a * RANGE_BINS], at, sensor_height_m, log_height, channels);
-        for (std::size_t k = 0; k < RANGE_BINS; ++k) {
-            float* const to = input(a / FOLD, k / FOLD) + a % FOLD * FOLD + k % FOLD;
-            for (std::size_t c = 0; c < CHANNELS; ++c) to[c * PIXELS] = channels[c][k];
+    const std::size_t parts = count_parts(POLAR_BINS, PART);
+    for_ranges(AZIMUTH_BINS, parts, [&](std::size_t, std::size_t begin, std::size_t end) {
+        float channels[CHANNELS][RANGE_BINS];
+        for (std::size_t a = begin; a < end; ++a) {
+            describe_azimuth(&maps[a * RANGE_BINS], &base_m[a * RANGE_BINS], at, sensor_height_m, log_height, channels);
+            for (std::size_t k = 0; k < RANGE_BINS; ++k) {
+                float* const to = input(a / FOLD, k / FOLD) + a % FOLD * FOLD + k % FOLD;
+                for (std::size_t c = 0; c < CHANNELS; ++c) to[c * PIXELS] = channels[c][k];
+            }
         }
-    }
+    });
     // 2. Run the network, and read the quantiles of each bin.
     const PolarImage output = network.run(input);
     PredictedGround predicted;
-    float outputs[OUTPUTS][RANGE_BINS];
-    for (std::size_t a = 0; a < AZIMUTH_BINS; ++a) {
-        for (std::size_t k = 0; k < RANGE_BINS; ++k) {
-            const float* const from = output(a / FOLD, k / FOLD) + a % FOLD * FOLD + k % FOLD;
-            for (std::size_t c = 0; c < OUTPUTS; ++c) outputs[c][k] = from[c * PIXELS];
+    for_ranges(AZIMUTH_BINS, parts, [&](std::size_t, std::size_t begin, std::size_t end) {
+        float outputs[OUTPUTS][RANGE_BINS];
+        for (std::size_t a = begin; a < end; ++a) {
+            for (std::size_t k = 0; k < RANGE_BINS; ++k) {
+                const float* const from = output(a / FOLD, k / FOLD) + a % FOLD * FOLD + k % FOLD;
+                for (std::size_t c = 0; c < OUTPUTS; ++c) outputs[c][k] = from[c * PIXELS];
+            }
+            const std::size_t row = a * RANGE_BINS;
+            read_azimuth(outputs, map(PASSING) + row, &base_m[row], at, &predicted.low_m[row], &predicted.height_m[row],
+                         &predicted.high_m[row]);
         }
-        const std::size_t row = a * RANGE_BINS;
-        read_azimuth(outputs, map(PASSING) + row, &base_m[row], at, &predicted.low_m[row], &predicted.height_m[row],
-                     &predicted.high_m[row]);
-    }
+    });
     return predicted;
 }
 
