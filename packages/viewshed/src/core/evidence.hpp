@@ -22,8 +22,8 @@ void look_up(View1<const float> table, View1<const float> counts, View1<float> p
 // more or less must not decide. Ground with a larger standard deviation than UNSURE_M is unsure.
 constexpr float THRESHOLD = 0.5f, SURE_AIM = 0.9f, UNSURE_M = 0.5f;
 
-// Output arrays (N,), as in viewshed.preprocess.evidence.BeamEvidence; `supported` marks the cells within reach where enough
-// beams reach a target on the estimated ground.
+// Output arrays (N,), as in viewshed.preprocess.evidence.BeamEvidence; `supported` marks the cells where enough beams reach a
+// target on the estimated ground, within reach: farther ones may be too dark.
 struct Evidence {
     float *measured, *inferred, *late, *aimed, *counted_prob;
     bool *supported, *within_reach;

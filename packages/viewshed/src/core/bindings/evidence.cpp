@@ -131,7 +131,8 @@ void bind_evidence(nb::module_& m) {
                 measure_evidence(windows, beams, lost, ground, target_height_m, probabilities, reach_m,
                                  {measured.data(), inferred.data(), late.data(), aimed.data(), counted.data(), supported.data(),
                                   within_reach.data()});
-                calibrate(windows, {measured.data(), inferred.data(), late.data(), aimed.data(), counted.data()}, supported.data(), returns, probabilities, ground.heights_m, prob);
+                calibrate(windows, {measured.data(), inferred.data(), late.data(), aimed.data(), counted.data()},
+                          supported.data(), returns, probabilities, ground.heights_m, prob);
             });
             const auto shaped = [&](auto& buffer) { return array(std::move(buffer), {windows.grid_rows, windows.grid_columns}); };
             return tuple_of(shaped(measured), shaped(inferred), shaped(late), shaped(aimed), shaped(counted), shaped(prob),
