@@ -18,6 +18,7 @@ from viewshed.estimators.shadow_map import ShadowMap
 from viewshed.estimators.unet import LEARNED
 from viewshed.fov.height_map import HeightMap
 from viewshed.fov.visibility import Target, poisson_table
+from viewshed.grid import polar_of_cells
 from viewshed.preprocess.evidence import BeamEvidence, beam_evidence
 from viewshed.preprocess.history import History
 from viewshed.preprocess.leveling import LeveledSweep, level
@@ -83,6 +84,18 @@ def test_states_are_told_only_where_the_beams_support_them(name: str, kind: str)
     if name == "shadow_map" or name in LEARNED:
         assert np.array_equal(estimate.visible(), claimed)
         assert (estimate.visible_prob[beyond] < estimator.threshold).all()
+
+
+@pytest.mark.parametrize("name", ["shadow_map", "majority_vote"])
+def test_nothing_is_claimed_beyond_the_reach(name: str) -> None:
+    leveled, estimator = leveled_sweep("simulated"), load_estimator(name)
+    near = replace(lidar_model("hdl32e"), reach_m=20.0)
+    short = replace(leveled, sweep=leveled.sweep.replace(model=near), sensor_id=replace(leveled.sensor_id, model=near))
+    beyond = polar_of_cells(ROAD)[0] > 20.0
+    assert claimed_in(estimator.estimate(leveled).state)[beyond].any()
+    estimate = estimator.estimate(short)
+    assert (estimate.state[beyond] == UNKNOWN).all()
+    assert claimed_in(estimate.state)[~beyond].any()
 
 
 @pytest.mark.parametrize("kind", SWEEPS)
