@@ -213,6 +213,7 @@ REFUSED: dict[str, list[dict[str, Any]]] = {
     "free_ranges": [{"mask": None}, {"x_m": NAN}, {"apex_y_m": INF}, {"half_m": 0.0}, {"bins": 0}],
     "beam_evidence": [
         {"lost": KIND}, {"measured": (LONG, LONG, SHORT)}, {"lost": (LONG, LONG, LONG, LONG, SHORT)},
+        {"returns": (LONG, LONG, SHORT)},
         {"measured": (LONG.astype(float), LONG, LONG)},
         {"heights_m": FLAT[:1, :1].copy(), "std_m": FLAT[:1, :1].copy()},
         {"std_m": FLAT[:7, :7].copy()}, {"table": np.zeros(0, F4)}, {"half_extent_m": NAN}],
