@@ -120,7 +120,7 @@ def hold(leveled: LeveledSweep, before: LeveledSweep, now_from_before: Rigid | N
     Raises:
         ValueError: a sweep has no pose and ``now_from_before`` is None.
     """
-    at_height, held = _at_held_height(leveled, before, at_rest=now_from_before is not None)
+    at_height, held = _leveled_as_held(leveled, before, at_rest=now_from_before is not None)
     if leveled.sweep.planar is not None:  # sees no ground
         return replace(leveled, held=held)
     if now_from_before is None:
@@ -150,7 +150,7 @@ def _seconds(leveled: LeveledSweep, before: LeveledSweep) -> float:
     return _DEFAULT_PERIOD_S if now_ns is None or before_ns is None else abs(now_ns - before_ns) / 1e9
 
 
-def _at_held_height(leveled: LeveledSweep, before: LeveledSweep, at_rest: bool) -> tuple[LeveledSweep, Held]:
+def _leveled_as_held(leveled: LeveledSweep, before: LeveledSweep, at_rest: bool) -> tuple[LeveledSweep, Held]:
     """Return the sweep, leveled by the usual height if its own differs too much, and the estimates to carry over.
 
     At rest, the same holds for the attitude.
@@ -162,10 +162,9 @@ def _at_held_height(leveled: LeveledSweep, before: LeveledSweep, at_rest: bool) 
         return leveled, held
     usual = _likeliest(held.estimates, before.level_from_sensor) if at_rest else _median_height(held.estimates)
     usual_m = float(usual.translation[2])
-    off_m = abs(usual_m - leveled.sensor_height_m)
-    if off_m <= (REST_TOLERANCE_M if at_rest else HEIGHT_TOLERANCE_M) and not (
-        at_rest and _tilt(usual, leveled.level_from_sensor) > REST_TOLERANCE
-    ):
+    is_height_usual = abs(usual_m - leveled.sensor_height_m) <= (REST_TOLERANCE_M if at_rest else HEIGHT_TOLERANCE_M)
+    is_attitude_usual = not at_rest or _tilt(usual, leveled.level_from_sensor) <= REST_TOLERANCE
+    if is_height_usual and is_attitude_usual:
         return leveled, held
     # Level again with the usual height and attitude as given; keep the original sweep, whose own are not given.
     attitude = attitude_of(usual.rotation) if at_rest else sweep.attitude
