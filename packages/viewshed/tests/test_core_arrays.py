@@ -44,8 +44,7 @@ BOX, CORNER = np.array([[6.0, 2.0, 0.8, 4.0, 1.8, 1.5, 0.3]]), {"x_m": -2.0, "y_
 APEX = {"x_m": 0.0, "y_m": 0.0, "cell_m": 1.0, "apex_x_m": 1.5, "apex_y_m": 1.5, "half_m": 0.5, "bins": 8}
 
 EVIDENCE: dict[str, Any] = {
-    "evidence": (np.full(GRID.shape, 0.4, F4),) * 5, "returns": KIND, "low_m": 0.3, "high_m": 3.0, "heights_m": FLAT,
-    "table": _core.poisson_table(5),
+    "evidence": (np.full(GRID.shape, 0.4, F4),) * 6, "returns": KIND, "low_m": 0.3, "high_m": 3.0, "heights_m": FLAT,
 }  # fmt: skip
 
 GOOD: dict[str, dict[str, Any]] = {
@@ -68,7 +67,6 @@ GOOD: dict[str, dict[str, Any]] = {
                     "near_m": 0.5, "far_m": 100.0, "attitude": None, "height_m": None, "yaw": None,
                     "half_extent_m": 32.0},
     "ground_of_lows": {"lows_m": LOWS, "rise_m": FLAT, "half_m": 32.0, "height_m": 1.8},
-    "fill_ground": {"walked_m": FLAT, "accepted": SQUARE, "plane": np.array([0.0, 0.0, -1.8], F4), "half_m": 32.0},
     "held_ground": {
         "heights_m": FLAT - F4(1.8), "std_m": np.where(HALF, F4(0.1), F4(1.0)), "seen": HALF,
         "half_m": 32.0, "before_heights_m": FLAT - F4(1.8), "before_std_m": FLAT + F4(0.1), "before_seen": SQUARE,
@@ -148,7 +146,7 @@ ANY_LENGTH = {
     "polar": ("points",), "azimuth_bins_filled": ("azimuth",), "fill_rings": ("edges",),
     "mean_and_deviation": ("probability",), "best_sectors": ("ranges",),
     "star_vertices": ("ranges",), "beam_evidence": ("table",),
-    "cell_features": ("table", "heights_m"), "lattice_positions": ("xy",),
+    "cell_features": ("heights_m",), "lattice_positions": ("xy",),
     "visible_before": ("boxes",), "look_at_boxes": ("boxes",), "mark_surfaces": ("surfaces",),
     "count_met": ("surfaces", "headings", "x_m", "y_m"), "compare_view": ("blockers",), "compare_past": ("places",),
     "decode_view": ("code",), "range_noise": ("points",),
@@ -156,8 +154,8 @@ ANY_LENGTH = {
 """Function → arrays that may be of any length, whatever the others are."""
 
 BAD_CELLS = [
-    {"evidence": EVIDENCE["evidence"][1:]}, {"evidence": (np.zeros((4, 4), F4),) * 5}, {"returns": (LONG, LONG, SHORT)},
-    {"evidence": (*EVIDENCE["evidence"][1:], np.zeros((4, 4), F4))}, {"table": np.zeros(0, F4)},
+    {"evidence": EVIDENCE["evidence"][1:]}, {"evidence": (np.zeros((4, 4), F4),) * 6}, {"returns": (LONG, LONG, SHORT)},
+    {"evidence": (*EVIDENCE["evidence"][1:], np.zeros((4, 4), F4))},
 ]  # fmt: skip
 
 REFUSED: dict[str, list[dict[str, Any]]] = {
@@ -180,7 +178,6 @@ REFUSED: dict[str, list[dict[str, Any]]] = {
                     {"far_m": INF}, {"far_m": NAN}, {"half_extent_m": 0.0}, {"half_extent_m": NAN}, {"height_m": NAN},
                     {"yaw": INF}, {"ring": np.full(N, RINGS, I2)}, {"columns": 0}],
     "ground_of_lows": [{"lows_m": LOWS * F4(3.0)}],
-    "fill_ground": [{"walked_m": FLAT * F4(NAN)}, {"plane": np.full(3, INF, F4)}],
     "held_ground": [{"before_heights_m": FLAT * F4(NAN)}, {"before_from_now": FLAT}],
     "map_returns": [{"azimuth": LONG[1:]}, {"seen": HALF[1:]}, {"half_m": 0.0}, {"half_m": INF},
                     {"sensor_height_m": NAN}],
@@ -407,7 +404,6 @@ SAME: dict[str, Callable[[], Any]] = {
     "beams of a bare cloud": lambda: level_beams(Sweep(THINNED.points)),
     "ground": lambda: call("level_sweep", points=street_points(), ring=None),
     "lows": lambda: call("ground_of_lows"), "moments": moments,
-    "filled ground": lambda: call("fill_ground"),
     "held ground": lambda: call("held_ground"), "boxes": boxes_met,
     "completed ground": lambda: call("complete_ground"),
     "view": lambda: encode_fov(street_view(with_std=True)),

@@ -111,14 +111,12 @@ struct Limits {
 struct Scene {
     const CellWindows& windows;
     const CellEvidence& evidence;
-    View1<const float> table;
     Limits limits;
     Buffer<float> near, wide;
 
-    Scene(const CellWindows& of, const CellEvidence& cells, const LeveledReturns& returns, View1<const float> probabilities)
+    Scene(const CellWindows& of, const CellEvidence& cells, const LeveledReturns& returns)
         : windows(of),
           evidence(cells),
-          table(probabilities),
           limits(returns),
           near(averaged({cells.counted_prob, of.grid_rows, of.grid_columns}, NEAR_CELLS)),
           wide(averaged({near.data(), of.grid_rows, of.grid_columns}, WIDE_CELLS)) {}
@@ -163,18 +161,17 @@ void describe_block(const Scene& scene, std::size_t first, std::size_t size, flo
     const CellEvidence& of = scene.evidence;
     const float* const range_m = &scene.windows.cell_range_m[first];
     const auto row = [&](CellFeature k) { return feature + k * CELLS; };
-    float blocker_m[CELLS], farthest_m[CELLS], likely[CELLS], late[CELLS], own[CELLS];
+    float blocker_m[CELLS], farthest_m[CELLS], likely[CELLS], late[CELLS];
     for (std::size_t n = 0; n < size; ++n) {
         const auto bin = std::size_t(scene.windows.cell_bin[first + n]);
         blocker_m[n] = scene.limits.blocker_m[bin], farthest_m[n] = scene.limits.farthest_m[bin];
     }
     add(of.measured + first, of.inferred + first, size, likely);
     add(of.measured + first, of.late + first, size, late);
-    look_up(scene.table, {likely, size}, {own, size});
     write_logits(of.counted_prob + first, size, row(CELL_PROB));
     write_logits(&scene.near[first], size, row(CELL_PROB_NEAR));
     write_logits(&scene.wide[first], size, row(CELL_PROB_WIDE));
-    write_logits(own, size, row(CELL_OWN_PROB));
+    write_logits(of.own_prob + first, size, row(CELL_OWN_PROB));
     write_shares(blocker_m, range_m, size, row(CELL_BLOCKER));
     write_away(blocker_m, range_m, size, row(CELL_BLOCKER_AWAY));
     write_shares(farthest_m, range_m, size, row(CELL_FARTHEST));
@@ -278,13 +275,16 @@ MULTIVERSION void run_network(const float* __restrict feature, const float* __re
     }
 }
 
-// Write the probabilities of cells from their logits.
-MULTIVERSION void decide(const float* __restrict logit, const float* __restrict counted, const float* __restrict aimed,
-                         const std::uint8_t* __restrict supported, std::size_t size, float below, float* __restrict prob) {
+// Write the probabilities of the cells from `first` on from their logits.
+MULTIVERSION void decide(const float* __restrict logit, const CellEvidence& evidence, const std::uint8_t* __restrict within_reach,
+                         std::size_t first, std::size_t size, float below, float* __restrict prob) {
+    const float *__restrict counted = evidence.counted_prob + first, *__restrict aimed = evidence.aimed + first;
+    const float* __restrict own = evidence.own_prob + first;
     for (std::size_t n = 0; n < size; ++n) {
         const float low = logit[n] < 20.0f ? logit[n] : 20.0f, x = low > -20.0f ? low : -20.0f;
         const float calibrated = 1.0f / (1.0f + exp_of(-x));
-        const float least = supported[n] & (counted[n] >= THRESHOLD) ? THRESHOLD : 0.0f, most = supported[n] ? 1.0f : below;
+        const bool supported = (own[n] >= THRESHOLD) & within_reach[n];
+        const float least = supported & (counted[n] >= THRESHOLD) ? THRESHOLD : 0.0f, most = supported ? 1.0f : below;
         const float at_least = calibrated > least ? calibrated : least, said = at_least < most ? at_least : most;
         const bool is_silent = (counted[n] <= 0.0f) & (aimed[n] <= 0.0f);
         prob[n] = is_silent ? 0.0f : said;
@@ -294,8 +294,8 @@ MULTIVERSION void decide(const float* __restrict logit, const float* __restrict 
 }  // namespace
 
 void describe_cells(const CellWindows& windows, const CellEvidence& evidence, const LeveledReturns& returns,
-                    View1<const float> table, View2<const float> heights_m, View2<float> feature) {
-    Description description(Scene(windows, evidence, returns, table), heights_m);
+                    View2<const float> heights_m, View2<float> feature) {
+    Description description(Scene(windows, evidence, returns), heights_m);
     for (std::size_t k = 0; k < CELL_FEATURES; ++k) {
         for (std::size_t n = 0; n < windows.cells(); ++n) feature(k, n) = description.of(n / CELLS)[k * CELLS + n % CELLS];
     }
@@ -304,18 +304,18 @@ void describe_cells(const CellWindows& windows, const CellEvidence& evidence, co
     }
 }
 
-void calibrate(const CellWindows& windows, const CellEvidence& evidence, const bool* supported, const LeveledReturns& returns,
-               View1<const float> table, View2<const float> heights_m, View1<float> prob) {
-    Description description(Scene(windows, evidence, returns, table), heights_m);
+void calibrate(const CellWindows& windows, const CellEvidence& evidence, const bool* within_reach,
+               const LeveledReturns& returns, View2<const float> heights_m, View1<float> prob) {
+    Description description(Scene(windows, evidence, returns), heights_m);
     const auto bias = bias_of(description.sweep);
     const float below = std::nextafter(THRESHOLD, 0.0f);
-    const auto* const is_supported = reinterpret_cast<const std::uint8_t*>(supported);
+    const auto* const is_within = reinterpret_cast<const std::uint8_t*>(within_reach);
     for_ranges(description.blocks, count_parts(windows.cells(), PART), [&](std::size_t, std::size_t begin, std::size_t end) {
         float logit[CELLS];
         for (std::size_t block = begin; block < end; ++block) {
             const std::size_t at = block * CELLS, size = std::min(CELLS, windows.cells() - at);
             run_network(description.of(block), bias.data(), size, logit);
-            decide(logit, evidence.counted_prob + at, evidence.aimed + at, is_supported + at, size, below, &prob[at]);
+            decide(logit, evidence, is_within + at, at, size, below, &prob[at]);
         }
     });
 }

@@ -31,18 +31,18 @@ constexpr std::size_t SHOWN_FEATURES = CELL_FEATURES + SWEEP_FEATURES;
 
 // Evidence (N,) of cells.
 struct CellEvidence {
-    const float *measured, *inferred, *late, *aimed, *counted_prob;
+    const float *measured, *inferred, *late, *aimed, *counted_prob, *own_prob;
 };
 
 // Write the features (SHOWN_FEATURES, N) of cells: their own, then those of the sweep, equal for all. `returns` are all
-// of the leveled sweep, `table` is a poisson_table, heights_m is the ground on its lattice.
+// of the leveled sweep, heights_m is the ground on its lattice.
 void describe_cells(const CellWindows& windows, const CellEvidence& evidence, const LeveledReturns& returns,
-                    View1<const float> table, View2<const float> heights_m, View2<float> feature);
+                    View2<const float> heights_m, View2<float> feature);
 
-// Write the probability (N,) that a cell is visible. It is 0 without any beams, and below the threshold in cells that are not
-// `supported` (N,): the network has seen few walls that absorb light, and would look behind them. In supported cells it
-// does not take back what the count claims.
-void calibrate(const CellWindows& windows, const CellEvidence& evidence, const bool* supported, const LeveledReturns& returns,
-               View1<const float> table, View2<const float> heights_m, View1<float> prob);
+// Write the probability (N,) that a cell is visible. It is 0 without any beams, and below the threshold unless the cell is
+// within_reach (N,) and enough beams reach a target on the estimated ground: the network has seen few walls that absorb
+// light, and would look behind them. Where enough do, it does not take back what the count claims.
+void calibrate(const CellWindows& windows, const CellEvidence& evidence, const bool* within_reach,
+               const LeveledReturns& returns, View2<const float> heights_m, View1<float> prob);
 
 }  // namespace viewshed

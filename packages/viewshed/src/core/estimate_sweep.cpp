@@ -145,10 +145,9 @@ CellWindows windows_of(const BevGrid& grid, const Target& target) {
 
 }  // namespace
 
-SweepEstimator::SweepEstimator(const BevGrid& grid, const Target& target, RefineGround refine_ground)
+SweepEstimator::SweepEstimator(const BevGrid& grid, const Target& target)
     : grid_(grid),
       target_(target),
-      refine_ground_(std::move(refine_ground)),
       probabilities_(poisson_table(target.min_returns)),
       windows_(windows_of(grid, target)) {}
 
@@ -190,26 +189,26 @@ SweepEstimate SweepEstimator::estimate(const SweepInput& given, const SensorMode
         sweep.yaw,
         grid_.half_extent_m + std::max(std::fabs(grid_.offset_x_m), std::fabs(grid_.offset_y_m)),
     };
-    SweepLevel at = level_sweep(unleveled);
-    if (refine_ground_) refine_ground_(sweep, at);
+    const SweepLevel at = level_sweep(unleveled);
     // 3. Split beams by what is known of their depth; determine the sensor's reach.
     const SplitBeams split = split_beams(sweep, unleveled, identity, at, target_.height_m);
     const double reach_m = reach_of(sweep.model == nullptr ? model : sweep.model);
     // 4. Compute the evidence of each cell.
     const std::size_t cells = grid_.size();
-    Buffer<float> measured(cells), inferred(cells), late(cells), aimed(cells), counted_prob(cells), visible_prob(cells);
-    Buffer<bool> supported(cells), within_reach(cells);
+    Buffer<float> measured(cells), inferred(cells), late(cells), aimed(cells), counted_prob(cells), own_prob(cells),
+        visible_prob(cells);
+    Buffer<bool> within_reach(cells);
     const std::size_t nodes = at.ground.nodes;
     const Ground ground = at.ground.view();
     const View2<const float> std_m{at.ground.std_m.data(), nodes, nodes};
     measure_evidence(windows_, {at.level.azimuth, split.slope, at.level.range_m}, lost_beams(split.missing),
                      {ground.heights_m, std_m, ground.half_extent_m, float(at.height_m)},
                      float(target_.height_m), probabilities_, float(reach_m),
-                     {measured.data(), inferred.data(), late.data(), aimed.data(), counted_prob.data(), supported.data(),
+                     {measured.data(), inferred.data(), late.data(), aimed.data(), counted_prob.data(), own_prob.data(),
                       within_reach.data()});
-    calibrate(windows_, {measured.data(), inferred.data(), late.data(), aimed.data(), counted_prob.data()},
-              supported.data(), {at.level.azimuth, at.level.range_m, at.level.height_m, LOW_M, HIGH_M}, probabilities_,
-              ground.heights_m, visible_prob);
+    calibrate(windows_, {measured.data(), inferred.data(), late.data(), aimed.data(), counted_prob.data(), own_prob.data()},
+              within_reach.data(), {at.level.azimuth, at.level.range_m, at.level.height_m, LOW_M, HIGH_M}, ground.heights_m,
+              visible_prob);
     // 5. Decide states from the cells that the evidence claims or denies.
     Buffer<bool> obstacle(cells + 1);
     const SquareCells square{float(grid_.x0_m()), float(grid_.y0_m()), float(1.0 / grid_.cell_m()), LOW_M, HIGH_M,

@@ -2,7 +2,6 @@
 // decide states. It does what viewshed.estimators.shadow_map does with one sweep.
 #pragma once
 
-#include <functional>
 #include <map>
 #include <mutex>
 #include <optional>
@@ -57,13 +56,10 @@ struct SweepEstimate {
     Rotation level_from_sensor;
 };
 
-// What improves the ground of a leveled sweep, and the heights of its points with it: where a network joins in.
-using RefineGround = std::function<void(const SweepInput&, SweepLevel&)>;
-
 // An estimator of a grid and a target: tables that depend on these are made once. Many threads may use one.
 class SweepEstimator {
 public:
-    SweepEstimator(const BevGrid& grid, const Target& target, RefineGround refine_ground = {});
+    SweepEstimator(const BevGrid& grid, const Target& target);
 
     // The field of view of a sweep. A sensor that is expected, that of the sweep before, is looked at first; the result is the
     // same without.
@@ -77,7 +73,6 @@ private:
 
     BevGrid grid_;
     Target target_;
-    RefineGround refine_ground_;
     Buffer<float> probabilities_;
     CellWindows windows_;
     mutable std::mutex mutex_;

@@ -96,7 +96,8 @@ MULTIVERSION void judge_block(const float (*lanes)[CellCounts::BLOCK], std::size
         step_if_early[n] = probabilities.step_of(measured[n] + early[n]);
         step_if_late[n] = probabilities.step_of(measured[n] + late[n]);
     }
-    float own_prob[CellCounts::BLOCK], if_lower[CellCounts::BLOCK], if_higher[CellCounts::BLOCK];
+    float* __restrict const own_prob = to.own_prob + first;
+    float if_lower[CellCounts::BLOCK], if_higher[CellCounts::BLOCK];
     float if_early[CellCounts::BLOCK], if_late[CellCounts::BLOCK];
     for (std::size_t n = 0; n < size; ++n) {
         own_prob[n] = probabilities.table[step[n]];
@@ -112,9 +113,8 @@ MULTIVERSION void judge_block(const float (*lanes)[CellCounts::BLOCK], std::size
         const float sum = over_ground + changed, positive = sum > 0.0f ? sum : 0.0f;
         counted_prob[n] = positive < 1.0f ? positive : 1.0f;
     }
-    bool *__restrict const within_reach = to.within_reach + first, *__restrict const supported = to.supported + first;
+    bool* __restrict const within_reach = to.within_reach + first;
     for (std::size_t n = 0; n < size; ++n) within_reach[n] = range_m[first + n] <= reach_m;
-    for (std::size_t n = 0; n < size; ++n) supported[n] = (own_prob[n] >= THRESHOLD) & (range_m[first + n] <= reach_m);
 }
 
 }  // namespace

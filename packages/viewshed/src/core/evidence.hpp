@@ -22,11 +22,11 @@ void look_up(View1<const float> table, View1<const float> counts, View1<float> p
 // more or less must not decide. Ground with a larger standard deviation than UNSURE_M is unsure.
 constexpr float THRESHOLD = 0.5f, SURE_AIM = 0.9f, UNSURE_M = 0.5f;
 
-// Output arrays (N,), as in viewshed.preprocess.evidence.BeamEvidence; `supported` marks the cells where enough beams reach a
-// target on the estimated ground, within reach: farther ones may be too dark.
+// Output arrays (N,), as in viewshed.preprocess.evidence.BeamEvidence; own_prob is the probability of visible on the estimated
+// ground, for the likely depths. Cells beyond the reach may be too dark.
 struct Evidence {
-    float *measured, *inferred, *late, *aimed, *counted_prob;
-    bool *supported, *within_reach;
+    float *measured, *inferred, *late, *aimed, *counted_prob, *own_prob;
+    bool* within_reach;
 };
 
 // Write the evidence of the cells of a grid, for a sensor that sees dark targets up to reach_m.

@@ -6,8 +6,6 @@
 #include <limits>
 #include <vector>
 
-#include "ground_fill.hpp"
-#include "held_ground.hpp"
 #include "parallel.hpp"
 #include "vectors.hpp"
 
@@ -29,11 +27,11 @@ constexpr double FLAT_M = 0.2;
 constexpr double EVEN_M = 0.12;
 constexpr int EVEN_NODES = 7;
 
-// Steepest slope of a patch (50°, the side of a cutting), and of one that needs no ground at its foot (17°).
-constexpr double STEEPEST = 1.2, EVEN_SLOPE = 0.3;
+// Steepest slope of a patch (50°, the side of a cutting).
+constexpr double STEEPEST = 1.2;
 
-// Largest distance of such a patch from the prediction of the nodes nearer to the sensor; roofs and decks lie higher.
-constexpr double EVEN_STEP_M = 0.5;
+// From this step on, the slope of a patch replaces that of the nodes nearer to the sensor.
+constexpr double BREAK_M = 0.5;
 
 // A steep patch is a slope, not the front of a car, if it has this area and meets accepted ground within this distance.
 constexpr double FACE_M2 = 20.0, FOOT_M = 0.25, FOOT_SLOPE = 0.1;
@@ -52,9 +50,6 @@ constexpr double FOLLOWED = 0.7, FOLLOWED_SLOPE = 0.25;
 // Without ground, these shares of slope and weight are carried on, with at most CARRIED_SLOPE off the carrier plane's
 // slope.
 constexpr float CARRIED_SHARE = 0.9f, CARRIED_SLOPE = 0.15f, CARRIED_WEIGHT = 0.8f, MIN_WEIGHT = 0.05f;
-
-// Weight of a level that no other direction confirms.
-constexpr float UNCONFIRMED_WEIGHT = 0.01f;
 
 // A beam that passes this far below accepted ground is inconsistent: it would have ended there.
 constexpr float BURIED_M = 0.3f;
@@ -242,8 +237,8 @@ public:
           n_(std::ptrdiff_t(lattice.nodes)), node_m_(float(lattice.node_m)), nodes_per_m_(1.0f / node_m_), carrier_x_(carrier[0]), carrier_y_(carrier[1]),
           carrier_z_(carrier[2]), carried_(std::size_t(n_ + 2) * std::size_t(n_ + 2)) {}
 
-    // Run the walk. Attached nodes (n, n) are accepted whatever the step; unconfirmed ones (n, n) hardly weigh.
-    void walk(const bool* attached, const bool* unconfirmed);
+    // Run the walk. Attached nodes (n, n) are accepted whatever the step.
+    void walk(const bool* attached);
 
     Buffer<float> height_m;
     Buffer<bool> accepted;
@@ -261,7 +256,7 @@ private:
 
     INLINE Prediction predict(const Carried* here) const;
     INLINE Carried carry(const Prediction& near) const;
-    Carried visit(std::size_t at, const Prediction& near, const bool* attached, const bool* unconfirmed);
+    Carried visit(std::size_t at, const Prediction& near, const bool* attached);
     Kind kind_of(std::ptrdiff_t i, std::ptrdiff_t j, double step, double support, bool is_even_node, float a, float b);
     bool agrees(std::ptrdiff_t i, std::ptrdiff_t j) const;
     bool is_buried(std::size_t at) const;
@@ -301,7 +296,7 @@ Walk::Carried Walk::carry(const Prediction& near) const {
     return weight * state;
 }
 
-void Walk::walk(const bool* attached, const bool* unconfirmed) {
+void Walk::walk(const bool* attached) {
     std::fill_n(accepted.data(), accepted.size(), false);
     std::fill_n(carried_.data(), carried_.size(), Carried{});
     // Stop after the last low point.
@@ -312,7 +307,7 @@ void Walk::walk(const bool* attached, const bool* unconfirmed) {
         Prediction near = predict(here);
         if (k == 0) near = {carrier_z_, carrier_x_, carrier_y_, 0.0f, node_m_, 0.0f};
         if (has(lows_, at)) {
-            *here = visit(at, near, attached, unconfirmed);
+            *here = visit(at, near, attached);
             --left;
         } else {
             *here = carry(near);
@@ -321,7 +316,7 @@ void Walk::walk(const bool* attached, const bool* unconfirmed) {
 }
 
 // Accept or refuse the low point of a node, and return the state to carry on.
-Walk::Carried Walk::visit(std::size_t at, const Prediction& near, const bool* attached, const bool* unconfirmed) {
+Walk::Carried Walk::visit(std::size_t at, const Prediction& near, const bool* attached) {
     const auto i = std::ptrdiff_t(at) / n_, j = std::ptrdiff_t(at) % n_;
     // 1. Compute the step above the prediction, and classify the low point.
     const double dx = double(lows_.x_m[at]) - middle(i), dy = double(lows_.y_m[at]) - middle(j);
@@ -343,7 +338,7 @@ Walk::Carried Walk::visit(std::size_t at, const Prediction& near, const bool* at
         slope_x = double(near.slope_x) + FOLLOWED_SLOPE * step * mx / length2;
         slope_y = double(near.slope_y) + FOLLOWED_SLOPE * step * my / length2;
     } else if (is_even_node) {
-        const bool breaks = kind == Kind::below || std::fabs(step) >= EVEN_STEP_M;
+        const bool breaks = kind == Kind::below || std::fabs(step) >= BREAK_M;
         height = low - double(a) * dx - double(b) * dy;
         slope_x = double(breaks ? a : 0.5f * (near.slope_x + a));
         slope_y = double(breaks ? b : 0.5f * (near.slope_y + b));
@@ -355,7 +350,7 @@ Walk::Carried Walk::visit(std::size_t at, const Prediction& near, const bool* at
     height_m[at] = float(height);
     accepted[at] = true;
     const Carried state{float(height), float(slope_x) * node_m_, float(slope_y) * node_m_, 1.0f};
-    return unconfirmed != nullptr && unconfirmed[at] ? UNCONFIRMED_WEIGHT * state : state;
+    return state;
 }
 
 // Classify a low point at a step above the prediction.
@@ -363,10 +358,8 @@ Walk::Kind Walk::kind_of(std::ptrdiff_t i, std::ptrdiff_t j, double step, double
     const auto at = std::size_t(i * n_ + j);
     if (!std::isfinite(step)) return Kind::refused;
     const bool flat = double(lows_.rise_m[at]) < double(float(FLAT_M));
-    const bool gentle = is_even_node && double(a * a + b * b) < EVEN_SLOPE * EVEN_SLOPE;
     const double small = STEP_M + (flat ? FLAT_STEP * std::min(double(node_m_), FLAT_NODE_M) : 0.0) +
                          DOUBT_STEP_M * (1.0 - support);
-    if (gentle && std::fabs(step) < EVEN_STEP_M) return Kind::patch;
     if (std::fabs(step) < small) return Kind::followed;
     if (step < 0.0) {
         // Only ground lies below ground.
@@ -479,20 +472,13 @@ FoundGround estimate_ground(const Lattice& lattice, const Lows& lows, double hei
     const std::size_t size = lattice.size();
     FoundGround ground{Buffer<float>(size), Buffer<bool>(size), carrier_plane(lows, height_m),
                   std::numeric_limits<double>::quiet_NaN()};
-    // Walk, attach low points that continue the ground, and walk again from there, ignoring levels of a single sector.
+    // Walk, attach low points that continue the ground, and walk again from there.
     Patches patches(lows, float(lattice.node_m));
     Walk walk(lattice, lows, patches, ground.carrier.plane);
-    Buffer<bool> unconfirmed(size);
-    walk.walk(nullptr, nullptr);
-    run_parts(2, [&](std::size_t part) {
-        if (part == 0) {
-            find_unconfirmed_levels(lattice, walk.height_m, walk.accepted, ground.carrier.plane, unconfirmed);
-        } else {
-            std::copy_n(walk.accepted.data(), size, ground.seen.data());
-            attach(lows, ground.seen);
-        }
-    });
-    walk.walk(ground.seen.data(), unconfirmed.data());
+    walk.walk(nullptr);
+    std::copy_n(walk.accepted.data(), size, ground.seen.data());
+    attach(lows, ground.seen);
+    walk.walk(ground.seen.data());
     std::copy_n(walk.accepted.data(), size, ground.seen.data());
     std::copy_n(walk.height_m.data(), size, ground.heights_m.data());
     // No plane, or one at the sensor's own height: no ground is seen.

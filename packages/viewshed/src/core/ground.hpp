@@ -1,4 +1,13 @@
-// Find the ground on which returns lie; the method is documented in viewshed.preprocess.ground.
+// Find the ground on which returns lie, from the second-lowest return of each node of a lattice around the sensor.
+//
+// 1. Fit a plane through the nodes around the sensor (ground_plane.hpp).
+// 2. Find patches: nodes on one plane with their neighbors.
+// 3. Walk outward from the sensor, with height and slope. A node is ground if the step to it is possible for ground: up to
+//    the height of a curb, any height along a large patch that starts at the ground, down to a height on which returns
+//    agree or that is clearly lower, because nothing lies below ground.
+// 4. Add nodes that continue accepted ground sideways, and walk again with these.
+//
+// Nodes without ground are left open: a network predicts them (unseen_ground.hpp).
 #pragma once
 
 #include "arrays.hpp"

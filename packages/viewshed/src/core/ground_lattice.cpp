@@ -11,40 +11,18 @@
 namespace viewshed {
 namespace {
 
-// Beyond PLANE_M the carrier plane's slope fades over TILT_M: land is mostly level.
-constexpr float PLANE_M = 30.0f, TILT_M = 20.0f;
-
-// Lower bound of the range: with an odd number of nodes one lies at range 0.
-constexpr float MIN_RANGE_M = 1e-6f;
-
 // Size of the lattice cache.
 constexpr std::size_t CACHE_SIZE = 4;
 
 Lattice make_lattice(std::size_t n, double half_m) {
     const double node_m = 2.0 * half_m / double(n), center = double(n) / 2;
-    Lattice lattice{n, half_m, node_m, std::vector<float>(n), {}, {}, {}, {}, std::size_t(0.75 * double(n)) + 1,
-                 {}, {}, {}, {}, {}};
-    for (std::size_t i = 0; i < n; ++i) lattice.middle_m[i] = float((double(i) + 0.5) * node_m - half_m);
+    Lattice lattice{n, half_m, node_m, std::vector<float>(n * n), std::vector<float>(n * n), {}, {}};
 
-    // 1. Range, sector and bin of each node.
-    for (auto* of_node : {&lattice.range_m, &lattice.fade, &lattice.azimuth, &lattice.range_nodes}) of_node->resize(n * n);
-    for (auto* of_node : {&lattice.bin, &lattice.first, &lattice.last}) of_node->resize(n * n);
-    for (std::size_t i = 0; i < n; ++i) {
-        for (std::size_t j = 0; j < n; ++j) {
-            const std::size_t at = i * n + j;
-            const float range_m = std::hypot(lattice.middle_m[i], lattice.middle_m[j]);
-            const float beyond_m = std::max(range_m - PLANE_M, 0.0f);
-            lattice.range_m[at] = range_m;
-            lattice.fade[at] = 1.0f - (beyond_m + TILT_M * std::expm1(-beyond_m / TILT_M)) / std::max(range_m, MIN_RANGE_M);
-            const float u = float(double(i) + 0.5 - center), v = float(double(j) + 0.5 - center);
-            const float azimuth = (std::atan2(v, u) + PI) * float(SECTORS / (2 * std::numbers::pi));
-            const float range = std::sqrt(u * u + v * v);
-            lattice.azimuth[at] = azimuth;
-            lattice.range_nodes[at] = range;
-            lattice.bin[at] = std::int16_t(std::min(int(range), int(lattice.bins) - 1));
-            lattice.first[at] = std::int16_t(std::floor(azimuth - half_width(range)));
-            lattice.last[at] = std::int16_t(std::floor(azimuth + half_width(range)));
-        }
+    // 1. Range and sector of each node.
+    for (std::size_t at = 0; at < n * n; ++at) {
+        const float u = float(double(at / n) + 0.5 - center), v = float(double(at % n) + 0.5 - center);
+        lattice.range_m[at] = std::hypot(u, v) * float(node_m);
+        lattice.azimuth[at] = (std::atan2(v, u) + PI) * float(SECTORS / (2 * std::numbers::pi));
     }
 
     // 2. Sort by range, stable.

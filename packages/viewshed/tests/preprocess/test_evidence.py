@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.stats import poisson
-from tests.preprocess.test_ground_fill import level_points, rings
+from tests.preprocess.test_unseen_ground import level_points, rings
 
 from viewshed import CAR, GRIDS, PEDESTRIAN, BevGrid, CellState, Rigid, Sweep, _core
 from viewshed.arrays import Mask

@@ -4,7 +4,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from tests.preprocess.test_ground_fill import Relief, rings
+from tests.preprocess.test_unseen_ground import Relief, rings
 
 from viewshed import GRIDS, Rigid, Sweep
 from viewshed.estimators.shadow_map import ShadowMap

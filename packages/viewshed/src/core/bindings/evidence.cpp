@@ -46,17 +46,17 @@ TargetGround ground_of(const In2<float>& heights_m, const In2<float>& std_m, flo
     return {view(heights_m), view(std_m), half_extent_m, sensor_height_m};
 }
 
-// Evidence (cells, cells): measured, inferred, late, aimed, counted_prob.
-using EvidenceArrays = std::tuple<In2<float>, In2<float>, In2<float>, In2<float>, In2<float>>;
+// Evidence (cells, cells): measured, inferred, late, aimed, counted_prob, own_prob.
+using EvidenceArrays = std::tuple<In2<float>, In2<float>, In2<float>, In2<float>, In2<float>, In2<float>>;
 // Azimuth, range_m and height_m (M,) of the returns of a leveled sweep.
 using ReturnArrays = std::tuple<In1<float>, In1<float>, In1<float>>;
 
 CellEvidence cells_of(const CellWindows& windows, const EvidenceArrays& arrays) {
-    const auto& [measured, inferred, late, aimed, counted] = arrays;
-    require(have_one_shape(measured, inferred, late, aimed, counted) && measured.shape(0) == windows.grid_rows &&
+    const auto& [measured, inferred, late, aimed, counted, own] = arrays;
+    require(have_one_shape(measured, inferred, late, aimed, counted, own) && measured.shape(0) == windows.grid_rows &&
                 measured.shape(1) == windows.grid_columns,
             "evidence must have the shape (cells, cells) of the windows");
-    return {measured.data(), inferred.data(), late.data(), aimed.data(), counted.data()};
+    return {measured.data(), inferred.data(), late.data(), aimed.data(), counted.data(), own.data()};
 }
 
 LeveledReturns returns_of(const ReturnArrays& arrays, float low_m, float high_m) {
@@ -125,14 +125,14 @@ void bind_evidence(nb::module_& m) {
             const TargetGround ground = ground_of(heights_m, std_m, half_extent_m, sensor_height_m);
             const View1<const float> probabilities = table_of(table);
             const std::size_t cells = windows.cells();
-            Buffer<float> measured(cells), inferred(cells), late(cells), aimed(cells), counted(cells), prob(cells);
-            Buffer<bool> supported(cells), within_reach(cells);
+            Buffer<float> measured(cells), inferred(cells), late(cells), aimed(cells), counted(cells), own(cells), prob(cells);
+            Buffer<bool> within_reach(cells);
             without_lock([&] {
                 measure_evidence(windows, beams, lost, ground, target_height_m, probabilities, reach_m,
-                                 {measured.data(), inferred.data(), late.data(), aimed.data(), counted.data(), supported.data(),
+                                 {measured.data(), inferred.data(), late.data(), aimed.data(), counted.data(), own.data(),
                                   within_reach.data()});
-                calibrate(windows, {measured.data(), inferred.data(), late.data(), aimed.data(), counted.data()},
-                          supported.data(), returns, probabilities, ground.heights_m, prob);
+                calibrate(windows, {measured.data(), inferred.data(), late.data(), aimed.data(), counted.data(), own.data()},
+                          within_reach.data(), returns, ground.heights_m, prob);
             });
             const auto shaped = [&](auto& buffer) { return array(std::move(buffer), {windows.grid_rows, windows.grid_columns}); };
             return tuple_of(shaped(measured), shaped(inferred), shaped(late), shaped(aimed), shaped(counted), shaped(prob),
@@ -146,19 +146,19 @@ void bind_evidence(nb::module_& m) {
     m.def(
         "cell_features",
         [](const CellWindows& windows, const EvidenceArrays& evidence, const ReturnArrays& returns, float low_m, float high_m,
-           In2<float> heights_m, In1<float> table) {
+           In2<float> heights_m) {
             Buffer<float> feature(SHOWN_FEATURES * windows.cells());
             const CellEvidence cells = cells_of(windows, evidence);
             const LeveledReturns seen = returns_of(returns, low_m, high_m);
             without_lock([&] {
-                describe_cells(windows, cells, seen, table_of(table), view(heights_m),
+                describe_cells(windows, cells, seen, view(heights_m),
                                {feature.data(), SHOWN_FEATURES, windows.cells()});
             });
             return array(std::move(feature), {SHOWN_FEATURES, windows.grid_rows, windows.grid_columns});
         },
-        "windows"_a, "evidence"_in, "returns"_in, "low_m"_a, "high_m"_a, "heights_m"_in, nb::kw_only(), "table"_in,
+        "windows"_a, "evidence"_in, "returns"_in, "low_m"_a, "high_m"_a, "heights_m"_in,
         "Return the features (features, cells, cells) of the network that corrects the counted probability: of each cell, "
-        "then of the sweep. Evidence is measured, inferred, late, aimed and counted_prob.");
+        "then of the sweep. Evidence is measured, inferred, late, aimed, counted_prob and own_prob.");
     m.def(
         "states",
         [](In2<float> measured, In2<float> late, In2<float> aimed, In2<float> visible_prob, In2<bool> within_reach,

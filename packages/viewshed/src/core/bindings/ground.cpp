@@ -8,18 +8,11 @@
 #include <optional>
 
 #include "bindings.hpp"
-#include "ground_fill.hpp"
 #include "unseen_ground.hpp"
 
 namespace viewshed {
 
 namespace {
-
-Plane plane_of(const In1<float>& plane) {
-    require(plane.shape(0) == 3, "plane must be (a, b, c)");
-    require_bounded(view(plane), "plane must be finite");
-    return {plane.data()[0], plane.data()[1], plane.data()[2]};
-}
 
 // Copy and check low points (n, n, 3) and the rise of their nodes (n, n).
 Lows lows_of(const In3<float>& points, const In2<float>& rise_m, double half_m) {
@@ -53,41 +46,17 @@ void bind_ground(nb::module_& m) {
         [](In3<float> lows_m, In2<float> rise_m, double half_m, double height_m) {
             const Lows lows = lows_of(lows_m, rise_m, half_m);
             const std::size_t n = lows.nodes;
-            Buffer<float> heights_m(n * n), std_m(n * n);
-            FoundGround found = without_lock([&] {
-                const auto lattice = lattice_of(n, half_m);
-                FoundGround ground = estimate_ground(*lattice, lows, height_m);
-                fill_ground(*lattice, ground.heights_m, ground.seen, ground.carrier.plane, heights_m, std_m);
-                return ground;
-            });
+            FoundGround found = without_lock([&] { return estimate_ground(*lattice_of(n, half_m), lows, height_m); });
+            for (std::size_t at = 0; at < n * n; ++at) {
+                if (!found.seen[at]) found.heights_m[at] = std::numeric_limits<float>::quiet_NaN();
+            }
             const auto& [a, b, c] = found.carrier.plane;
-            return tuple_of(array(std::move(heights_m), {n, n}), array(std::move(std_m), {n, n}),
-                            array(std::move(found.seen), {n, n}), tuple_of(a, b, c), found.carrier.support,
-                            found.level_m);
+            return tuple_of(array(std::move(found.heights_m), {n, n}), array(std::move(found.seen), {n, n}),
+                            tuple_of(a, b, c), found.carrier.support, found.level_m);
         },
         "lows_m"_in, "rise_m"_in, "half_m"_a, "height_m"_a,
-        "Return heights, standard deviations, seen nodes (n, n), plane, support, and level (or NaN) of the ground, "
-        "from low points (n, n, 3) and the rise (n, n) to the highest return of each node.");
-    m.def(
-        "fill_ground",
-        [](In2<float> walked_m, In2<bool> accepted, In1<float> plane, double half_m) {
-            const std::size_t n = walked_m.shape(0);
-            require(walked_m.shape(1) == n && have_one_shape(walked_m, accepted),
-                    "walked_m and accepted must be (n, n)");
-            require_lattice(n, half_m);
-            const Plane carrier = plane_of(plane);
-            for (std::size_t at = 0; at < n * n; ++at) {
-                require(!accepted.data()[at] || std::fabs(walked_m.data()[at]) <= MAX_M, "walked_m must be finite");
-            }
-            Buffer<float> heights_m(n * n), std_m(n * n);
-            without_lock([&] {
-                fill_ground(*lattice_of(n, half_m), view(walked_m).flat(), view(accepted).flat(), carrier, heights_m, std_m);
-            });
-            return tuple_of(array(std::move(heights_m), {n, n}), array(std::move(std_m), {n, n}));
-        },
-        "walked_m"_in, "accepted"_in, "plane"_in, "half_m"_a,
-        "Return heights and standard deviations (n, n) of the ground, filled between and beyond the accepted nodes "
-        "(n, n).");
+        "Return heights (n, n), NaN where none is seen, which nodes are seen (n, n), plane, support, and level (or NaN) of the "
+        "ground, from low points (n, n, 3) and the rise (n, n) to the highest return of each node.");
     m.def(
         "map_returns",
         [](Points points, In1<float> azimuth, In1<float> range_m, float sensor_height_m, In2<float> heights_m, In2<bool> seen,

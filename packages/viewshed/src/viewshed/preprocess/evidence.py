@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from viewshed import _core
 from viewshed.arrays import F32, Mask
 from viewshed.fov.estimate import THRESHOLD, CellState
-from viewshed.fov.visibility import Beams, Target, cell_windows, poisson_table
+from viewshed.fov.visibility import Beams, Target, cell_windows, poisson_table, probability_of_visible
 from viewshed.grid import BevGrid
 from viewshed.preprocess.leveling import OBSTACLE_HEIGHTS_M, LeveledSweep
 from viewshed.preprocess.no_return import beams_by_evidence
@@ -111,10 +111,11 @@ class BeamEvidence:
 
 def cell_features(leveled: LeveledSweep, evidence: BeamEvidence) -> F32:
     """Return the features (features, cells, cells) of the network that gives ``visible_prob``."""
-    cells = evidence.measured, evidence.inferred, evidence.late, evidence.aimed, evidence.counted_prob
+    own_prob = probability_of_visible(evidence.reaching, evidence.target.min_returns)
+    cells = evidence.measured, evidence.inferred, evidence.late, evidence.aimed, evidence.counted_prob, own_prob
     return _core.cell_features(
         cell_windows(evidence.grid, evidence.target.width_m), cells, _returns_of(leveled), *OBSTACLE_HEIGHTS_M,
-        leveled.ground.heights_m, table=poisson_table(evidence.target.min_returns),
+        leveled.ground.heights_m,
     )  # fmt: skip
 
 

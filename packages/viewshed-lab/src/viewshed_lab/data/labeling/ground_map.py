@@ -1,7 +1,8 @@
 """Estimate the ground from several sweeps: ground that is far away in one sweep is close in another.
 
 Every sweep contributes its two lowest returns per node of a lattice that is fixed to the world. The lows of the sweeps
-around one are merged, and :mod:`viewshed.preprocess.ground` processes them like those of a single sweep.
+around one are merged, and the core finds the ground among them as in a single sweep. It is interpolated where none of
+them saw it.
 """
 
 from __future__ import annotations
@@ -13,10 +14,11 @@ from typing import Any
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
+from scipy.interpolate import griddata
 
+from viewshed import _core
 from viewshed.fov.height_map import HeightMap
 from viewshed.geometry import Rigid
-from viewshed.preprocess.ground import ground_of_lows
 from viewshed.preprocess.leveling import LeveledSweep
 
 NODES_PER_HALF = 64
@@ -104,8 +106,27 @@ def patch_of(leveled: LeveledSweep, around: Iterable[Lows], half_extent_m: float
     lowest = np.where(second, lows[:, :, 1], lows[:, :, 0])
     center = (corner + count // 2) * node_m - sensor[:2]
     lowest[np.isfinite(lowest[..., 2]), :2] -= center.astype(np.float32)
-    ground = ground_of_lows(lowest, rise, count * node_m / 2, leveled.sensor_height_m)
-    return Patch(ground, center, 0.0 if pose is None else pose.yaw)
+    half_m, height_m = count * node_m / 2, leveled.sensor_height_m
+    return Patch(_ground_of(lowest, rise, half_m, height_m), center, 0.0 if pose is None else pose.yaw)
+
+
+def _ground_of(
+    lows_m: NDArray[np.float32], rise_m: NDArray[np.float32], half_extent_m: float, sensor_height_m: float | None
+) -> HeightMap:
+    """Return the ground of a low point of each node (n, n, 3), and of the rise (n, n) to the node's highest point."""
+    height_m = np.nan if sensor_height_m is None else sensor_height_m
+    heights_m, seen, plane, support, level_m = _core.ground_of_lows(lows_m, rise_m, half_extent_m, height_m)
+    if np.isfinite(level_m):  # no ground is seen
+        return HeightMap.flat(half_extent_m, level_m)
+    # Heights above the plane are linear between the seen nodes, and between these and the corners, which lie on it.
+    middle_m = ((np.arange(len(seen)) + 0.5) * 2 / len(seen) - 1) * half_extent_m
+    base_m = plane[0] * middle_m[:, None] + plane[1] * middle_m + plane[2]
+    known = seen.copy()
+    known[:: len(seen) - 1, :: len(seen) - 1] = True
+    above_m = np.where(seen, heights_m - base_m, 0.0)
+    filled = griddata(np.argwhere(known), above_m[known], tuple(np.indices(seen.shape)), "linear")
+    heights_m = (base_m + filled).astype(np.float32)
+    return HeightMap(heights_m, half_extent_m, seen, plane, support)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
