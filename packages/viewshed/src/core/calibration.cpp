@@ -283,7 +283,7 @@ MULTIVERSION void decide(const float* __restrict logit, const CellEvidence& evid
     for (std::size_t n = 0; n < size; ++n) {
         const float low = logit[n] < 20.0f ? logit[n] : 20.0f, x = low > -20.0f ? low : -20.0f;
         const float calibrated = 1.0f / (1.0f + exp_of(-x));
-        const bool supported = (own[n] >= THRESHOLD) & within_reach[n];
+        const std::uint8_t supported = (own[n] >= THRESHOLD) & within_reach[n];
         const float least = supported & (counted[n] >= THRESHOLD) ? THRESHOLD : 0.0f, most = supported ? 1.0f : below;
         const float at_least = calibrated > least ? calibrated : least, said = at_least < most ? at_least : most;
         const bool is_silent = (counted[n] <= 0.0f) & (aimed[n] <= 0.0f);

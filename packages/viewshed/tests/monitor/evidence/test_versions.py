@@ -15,16 +15,16 @@ from viewshed.preprocess.leveling import LeveledSweep, level
 GRID = BevGrid(128, 64.0)
 
 NUMBERS: dict[str, tuple[int, float, float]] = {
-    "arrival": (3, 1.03494, 30.6493),
+    "arrival": (4, 1.03028, 30.6493),
     "departure": (2, 0, 0),
     "same_noise": (1, 0.0660463, 1),
-    "registration": (2, 0.154147, 0.154147),
-    "frame_noise": (2, 0.00596808, 0.033289),
+    "registration": (3, 0.348679, 0.348679),
+    "frame_noise": (3, 0.00592699, 0.043272),
     "nearer": (2, 0.0125579, 0.180833),
     "farther": (2, 0.0161076, 0.117917),
     "no_return": (3, 0.0638889, 0.893333),
     "gone": (1, 0, 0),
-    "out_of_nowhere": (3, 0.024575, 0.644832),
+    "out_of_nowhere": (4, 0.0191847, 0.598959),
     "jump": (2, 0, 0),
     "sensor_height": (1, 1.84533, 1.84533),
     "returns": (1, 30504, 30504),
