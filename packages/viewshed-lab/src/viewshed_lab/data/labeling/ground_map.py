@@ -106,16 +106,15 @@ def patch_of(leveled: LeveledSweep, around: Iterable[Lows], half_extent_m: float
     lowest = np.where(second, lows[:, :, 1], lows[:, :, 0])
     center = (corner + count // 2) * node_m - sensor[:2]
     lowest[np.isfinite(lowest[..., 2]), :2] -= center.astype(np.float32)
-    half_m, height_m = count * node_m / 2, leveled.sensor_height_m
-    return Patch(_ground_of(lowest, rise, half_m, height_m), center, 0.0 if pose is None else pose.yaw)
+    ground = _ground_of(lowest, rise, count * node_m / 2, leveled.sensor_height_m)
+    return Patch(ground, center, 0.0 if pose is None else pose.yaw)
 
 
 def _ground_of(
-    lows_m: NDArray[np.float32], rise_m: NDArray[np.float32], half_extent_m: float, sensor_height_m: float | None
+    lows_m: NDArray[np.float32], rise_m: NDArray[np.float32], half_extent_m: float, sensor_height_m: float
 ) -> HeightMap:
     """Return the ground of a low point of each node (n, n, 3), and of the rise (n, n) to the node's highest point."""
-    height_m = np.nan if sensor_height_m is None else sensor_height_m
-    heights_m, seen, plane, support, level_m = _core.ground_of_lows(lows_m, rise_m, half_extent_m, height_m)
+    heights_m, seen, plane, support, level_m = _core.ground_of_lows(lows_m, rise_m, half_extent_m, sensor_height_m)
     if np.isfinite(level_m):  # no ground is seen
         return HeightMap.flat(half_extent_m, level_m)
     # Heights above the plane are linear between the seen nodes, and between these and the corners, which lie on it.
