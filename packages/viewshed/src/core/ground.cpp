@@ -4,6 +4,7 @@
 #include <array>
 #include <cmath>
 #include <limits>
+#include <utility>
 #include <vector>
 
 #include "parallel.hpp"
@@ -349,8 +350,7 @@ Walk::Carried Walk::visit(std::size_t at, const Prediction& near, const bool* at
     }
     height_m[at] = float(height);
     accepted[at] = true;
-    const Carried state{float(height), float(slope_x) * node_m_, float(slope_y) * node_m_, 1.0f};
-    return state;
+    return Carried{float(height), float(slope_x) * node_m_, float(slope_y) * node_m_, 1.0f};
 }
 
 // Classify a low point at a step above the prediction.
@@ -469,18 +469,15 @@ double estimated_height_m(const Lows& lows) {
 }  // namespace
 
 FoundGround estimate_ground(const Lattice& lattice, const Lows& lows, double height_m) {
-    const std::size_t size = lattice.size();
-    FoundGround ground{Buffer<float>(size), Buffer<bool>(size), carrier_plane(lows, height_m),
-                  std::numeric_limits<double>::quiet_NaN()};
+    const CarrierPlane carrier = carrier_plane(lows, height_m);
     // Walk, attach low points that continue the ground, and walk again from there.
     Patches patches(lows, float(lattice.node_m));
-    Walk walk(lattice, lows, patches, ground.carrier.plane);
+    Walk walk(lattice, lows, patches, carrier.plane);
     walk.walk(nullptr);
-    std::copy_n(walk.accepted.data(), size, ground.seen.data());
-    attach(lows, ground.seen);
-    walk.walk(ground.seen.data());
-    std::copy_n(walk.accepted.data(), size, ground.seen.data());
-    std::copy_n(walk.height_m.data(), size, ground.heights_m.data());
+    Buffer<bool> attached = copy_of(View1<const bool>(walk.accepted));
+    attach(lows, attached);
+    walk.walk(attached.data());
+    FoundGround ground{std::move(walk.height_m), std::move(walk.accepted), carrier, std::numeric_limits<double>::quiet_NaN()};
     // No plane, or one at the sensor's own height: no ground is seen.
     const bool is_known = std::isfinite(height_m);
     const bool is_own = double(ground.carrier.plane[2]) > -MIN_HEIGHT_M;
